@@ -6,7 +6,7 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::time::Duration;
 
-use forelight_protocol::JobId;
+use forelight_protocol::{JobId, Timestamp};
 use forelight_store::StoreError;
 use futures::FutureExt as _;
 use tokio::sync::mpsc;
@@ -82,30 +82,69 @@ async fn run_retention(app: App) {
 /// Time between two deletions: a day, in microseconds.
 const A_DAY: i64 = 86_400_000_000;
 
+/// A service that runs deletes every night. If the last deletion is longer ago than this, the clock may be
+/// wrong, and a wrong clock would delete everything.
+const LONGEST_PAUSE: i64 = 30 * A_DAY;
+
 /// How often the time since the last deletion is looked at.
 const LOOK: Duration = Duration::from_secs(600);
+
+/// Whether it is time for the nightly deletion.
+#[derive(Clone, Copy, PartialEq, Eq, Debug)]
+enum Deletion {
+    Due,
+    NotDue,
+    /// Only if somebody says so.
+    Doubtful,
+}
+
+impl Deletion {
+    /// A last deletion in the future was made by a clock that was wrong.
+    fn at(now: Timestamp, last: Option<Timestamp>) -> Self {
+        match last.map(|last| now.micros_since(last)) {
+            Some(0..A_DAY) => Self::NotDue,
+            Some(LONGEST_PAUSE..) => Self::Doubtful,
+            Some(_) | None => Self::Due,
+        }
+    }
+}
 
 /// Deletes once a day what is past its time.
 async fn delete_nightly(app: &App) {
     let mut ticks = tokio::time::interval(LOOK);
+    let mut is_told = false;
     loop {
         tokio::select! {
             () = app.stopping.cancelled() => return,
             _ = ticks.tick() => {}
         }
-        if let Err(error) = delete_if_due(app).await {
+        let last = match app.store.last_prune().await {
+            Ok(last) => last,
+            Err(error) => {
+                tracing::warn!(%error, "when anything was last deleted is not known; trying again soon");
+                continue;
+            }
+        };
+        let deletion = Deletion::at(app.now(), last);
+        if deletion == Deletion::Doubtful && !is_told {
+            tracing::warn!(
+                last = last.map(tracing::field::display),
+                "the last deletion was more than 30 days ago, so the clock may be wrong: nothing is deleted by \
+                 itself; if the clock is right, run `forelight prune` once"
+            );
+        }
+        is_told = deletion == Deletion::Doubtful;
+        if deletion == Deletion::Due
+            && let Err(error) = delete(app).await
+        {
             tracing::warn!(%error, "what is past its time was not deleted; trying again soon");
         }
     }
 }
 
-async fn delete_if_due(app: &App) -> Result<(), StoreError> {
-    let now = app.now();
-    if app.store.last_prune().await?.is_some_and(|last| now.micros_since(last) < A_DAY) {
-        return Ok(());
-    }
+async fn delete(app: &App) -> Result<(), StoreError> {
     let Ok(_alone) = app.pruning.try_lock() else { return Ok(()) };
-    let pruned = app.store.prune(false, now).await?;
+    let pruned = app.store.prune(false, app.now()).await?;
     for item in pruned.items.iter().filter(|item| item.number > 0) {
         tracing::info!(kind = item.kind.name(), number = item.number, "past their time and deleted");
     }
@@ -282,4 +321,20 @@ async fn follow(app: &App, clock: &SteadyClock) -> Result<(), StoreError> {
         _ => {}
     }
     moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_is_deleted_only_by_a_clock_that_may_be_trusted() {
+        let now = Timestamp::from_micros(1_000 * A_DAY);
+        let after = |days: i64| Deletion::at(now, Some(now.plus_micros(-days * A_DAY)));
+        assert_eq!(Deletion::at(now, None), Deletion::Due);
+        assert_eq!((after(0), after(1), after(29)), (Deletion::NotDue, Deletion::Due, Deletion::Due));
+        assert_eq!((after(30), after(3650)), (Deletion::Doubtful, Deletion::Doubtful));
+        // The clock was wrong when something was last deleted.
+        assert_eq!(after(-3650), Deletion::Due);
+    }
 }

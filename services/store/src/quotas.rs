@@ -1,14 +1,27 @@
 //! How much projects and tokens may take: bytes of files, and open jobs.
 //!
-//! Open jobs are counted in the write that adds one. Bytes are those that exist when something is asked for: a job
-//! that has begun is never broken off for a quota.
+//! Open jobs and their files are counted in the write that adds one. Bytes are those that exist, and those that
+//! open jobs are still to write. A job that has begun is never broken off for a quota.
 
-use forelight_protocol::{AuditAction, Quota, QuotaRequest, Timestamp};
+use forelight_protocol::{AuditAction, JobSettings, Quota, QuotaRequest, Role, Timestamp};
+use sqlx::SqliteConnection;
 
 use crate::audit::{Deed, note};
-use crate::database::{Store, Write};
+use crate::database::Store;
 use crate::error::{Result, StoreError};
+use crate::jobs::submitting::NewJob;
+use crate::projects;
 use crate::writing::run;
+
+/// Bytes of a frame's files for each pixel, before a profile has measured them: those of most scenes.
+const BYTES_OF_PIXEL: u64 = 35;
+
+/// Expected bytes of the files of a frame with these settings.
+pub(crate) fn frame_bytes(settings: &JobSettings) -> i64 {
+    let (width, height) = settings.size().unwrap_or_default();
+    let pixels = u64::from(width) * u64::from(height);
+    i64::try_from(pixels.saturating_mul(BYTES_OF_PIXEL)).unwrap_or(i64::MAX)
+}
 
 /// Whose quota it is.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
@@ -62,7 +75,7 @@ macro_rules! open_jobs {
 
 /// The bytes of the files of jobs and bundles that meet conditions. A file counts once.
 macro_rules! stored_bytes {
-    ($store:expr, $jobs:literal, $bundles:literal, $name:expr) => {
+    ($connection:expr, $jobs:literal, $bundles:literal, $name:expr) => {
         sqlx::query_scalar!(
             "SELECT coalesce(sum(size), 0) AS \"bytes!: u64\" FROM artifacts WHERE hash IN \
              (SELECT a.hash FROM jobs j JOIN tasks t ON t.job_id = j.id JOIN result_artifacts a ON a.task_id = t.id WHERE "
@@ -72,7 +85,22 @@ macro_rules! stored_bytes {
                 + ")",
             $name
         )
-        .fetch_one($store.readers())
+        .fetch_one($connection)
+        .await?
+    };
+}
+
+/// The bytes that open jobs that meet a condition are still to write.
+macro_rules! announced_bytes {
+    ($connection:expr, $which:literal, $name:expr) => {
+        sqlx::query_scalar!(
+            "SELECT CAST(min(total(frame_bytes * (SELECT count(*) FROM frames f WHERE f.job_id = jobs.id \
+             AND f.actual IS NULL AND f.dropped = 0)), 9e18) AS INTEGER) AS \"bytes!: u64\" FROM jobs \
+             WHERE state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering') AND "
+                + $which,
+            $name
+        )
+        .fetch_one($connection)
         .await?
     };
 }
@@ -117,8 +145,9 @@ impl Store {
             if !is_wanted(of) {
                 continue;
             }
-            let (used_storage_bytes, used_open_jobs) =
-                (self.stored_bytes(of).await?, self.open_jobs_of(of).await?);
+            let mut connection = self.readers().acquire().await?;
+            let used_storage_bytes = stored_bytes(&mut connection, of).await?;
+            let used_open_jobs = open_jobs(&mut connection, of).await?;
             let limits = QuotaRequest {
                 storage_bytes: row.storage_bytes,
                 open_jobs: row.open_jobs,
@@ -135,58 +164,95 @@ impl Store {
 
     /// Refuses so many bytes more if a quota has no room for them.
     pub async fn check_storage(&self, of: QuotaOf<'_>, more: u64) -> Result<()> {
-        let most = sqlx::query_scalar!(
-            r#"SELECT storage_bytes AS "most!: u64" FROM quotas
-               WHERE kind = ? AND name = ? AND storage_bytes IS NOT NULL"#,
-            of.kind(),
-            of.name()
-        );
-        let Some(most) = most.fetch_optional(self.readers()).await? else { return Ok(()) };
-        let used = self.stored_bytes(of).await?;
-        if used.saturating_add(more) <= most {
-            return Ok(());
+        check_storage(&mut *self.readers().acquire().await?, of, more).await
+    }
+
+    /// Refuses a job that [`Self::create_job`] would refuse.
+    pub async fn check_new_job(&self, new: &NewJob, submitter: &str, role: Role) -> Result<()> {
+        let connection = &mut *self.readers().acquire().await?;
+        // Operators make projects.
+        if role != Role::Operator {
+            projects::check_exists(connection, &new.request.project).await?;
         }
-        let what = format!("may store {most} bytes and has {used}; this needs about {more} more");
-        Err(of.exceeded(what, "delete jobs with `forelight delete`, keep less with `forelight retention`"))
-    }
-
-    async fn stored_bytes(&self, of: QuotaOf<'_>) -> Result<u64> {
-        Ok(match of {
-            QuotaOf::Project(name) => stored_bytes!(
-                self,
-                "j.project = ?1",
-                "b.id IN (SELECT bundle_id FROM jobs WHERE project = ?1)",
-                name
-            ),
-            QuotaOf::Token(name) => stored_bytes!(self, "j.submitted_by = ?1", "b.uploaded_by = ?1", name),
-        })
-    }
-
-    async fn open_jobs_of(&self, of: QuotaOf<'_>) -> Result<u32> {
-        let mut connection = self.readers().acquire().await?;
-        Ok(match of {
-            QuotaOf::Project(name) => open_jobs!(&mut *connection, "project = ?", name),
-            QuotaOf::Token(name) => open_jobs!(&mut *connection, "submitted_by = ?", name),
-        })
+        check_new_job(connection, new, Some(submitter)).await
     }
 }
 
-/// Refuses one open job more if a quota has no room for it.
-pub(crate) async fn check_open_jobs(write: &mut Write, of: QuotaOf<'_>) -> Result<()> {
-    let connection = write.connection().await?;
+/// Refuses a job if a quota of its project or of its submitter has no room for it.
+pub(crate) async fn check_new_job(
+    connection: &mut SqliteConnection,
+    new: &NewJob,
+    submitter: Option<&str>,
+) -> Result<()> {
+    let frame = u64::try_from(frame_bytes(&new.settings)).unwrap_or(0);
+    let bytes = frame.saturating_mul(new.request.frames.count());
+    for of in
+        [Some(QuotaOf::Project(&new.request.project)), submitter.map(QuotaOf::Token)].into_iter().flatten()
+    {
+        check_open_jobs(connection, of).await?;
+        check_storage(connection, of, bytes).await?;
+    }
+    Ok(())
+}
+
+async fn check_storage(connection: &mut SqliteConnection, of: QuotaOf<'_>, more: u64) -> Result<()> {
+    let most = sqlx::query_scalar!(
+        r#"SELECT storage_bytes AS "most!: u64" FROM quotas
+           WHERE kind = ? AND name = ? AND storage_bytes IS NOT NULL"#,
+        of.kind(),
+        of.name()
+    );
+    let Some(most) = most.fetch_optional(&mut *connection).await? else { return Ok(()) };
+    let stored = stored_bytes(connection, of).await?;
+    let announced = announced_bytes(connection, of).await?;
+    if stored.saturating_add(announced).saturating_add(more) <= most {
+        return Ok(());
+    }
+    let open = match announced {
+        0 => String::new(),
+        bytes => format!(", and its open jobs will write about {bytes}"),
+    };
+    let what = format!("may store {most} bytes and has {stored}{open}; this needs about {more} more");
+    Err(of.exceeded(what, "delete jobs with `forelight delete`, keep less with `forelight retention`"))
+}
+
+async fn check_open_jobs(connection: &mut SqliteConnection, of: QuotaOf<'_>) -> Result<()> {
     let most = sqlx::query_scalar!(
         r#"SELECT open_jobs AS "most!: u32" FROM quotas WHERE kind = ? AND name = ? AND open_jobs IS NOT NULL"#,
         of.kind(),
         of.name()
     );
     let Some(most) = most.fetch_optional(&mut *connection).await? else { return Ok(()) };
-    let open = match of {
-        QuotaOf::Project(name) => open_jobs!(&mut *connection, "project = ?", name),
-        QuotaOf::Token(name) => open_jobs!(&mut *connection, "submitted_by = ?", name),
-    };
+    let open = open_jobs(connection, of).await?;
     if open < most {
         return Ok(());
     }
     Err(of
         .exceeded(format!("may have {most} open jobs and has {open}"), "wait for some of them, cancel some"))
+}
+
+async fn stored_bytes(connection: &mut SqliteConnection, of: QuotaOf<'_>) -> Result<u64> {
+    Ok(match of {
+        QuotaOf::Project(name) => stored_bytes!(
+            connection,
+            "j.project = ?1",
+            "b.id IN (SELECT bundle_id FROM jobs WHERE project = ?1)",
+            name
+        ),
+        QuotaOf::Token(name) => stored_bytes!(connection, "j.submitted_by = ?1", "b.uploaded_by = ?1", name),
+    })
+}
+
+async fn announced_bytes(connection: &mut SqliteConnection, of: QuotaOf<'_>) -> Result<u64> {
+    Ok(match of {
+        QuotaOf::Project(name) => announced_bytes!(connection, "project = ?", name),
+        QuotaOf::Token(name) => announced_bytes!(connection, "submitted_by = ?", name),
+    })
+}
+
+async fn open_jobs(connection: &mut SqliteConnection, of: QuotaOf<'_>) -> Result<u32> {
+    Ok(match of {
+        QuotaOf::Project(name) => open_jobs!(connection, "project = ?", name),
+        QuotaOf::Token(name) => open_jobs!(connection, "submitted_by = ?", name),
+    })
 }

@@ -147,8 +147,8 @@ macro_rules! of_task {
 
 impl Store {
     /// The ready tasks that are in no open array, and those that are to be run a second time beside an
-    /// attempt that makes no progress. What was lost before a task's last result does not count. By deadline,
-    /// priority, age of the job, and booked time. Videos are left to workers that have ffmpeg: Slurm does not
+    /// attempt that makes no progress. What was lost before a task's last result, or before it began anew, does
+    /// not count. By deadline, priority, age of the job, and booked time. Videos are left to workers that have ffmpeg: Slurm does not
     /// know which of its machines have it.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
@@ -159,11 +159,11 @@ impl Store {
                            WHEN 'render_part' THEN f.cpu_p95 * ifnull(t.share, 1.0 / f.parts)
                            WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
                       (SELECT group_concat(e.outcome, char(10) ORDER BY e.ended_at, e.array_id) FROM slurm_elements e
-                       JOIN slurm_arrays a ON a.id = e.array_id WHERE e.task_id = t.id AND a.created_at >= ifnull((SELECT
+                       JOIN slurm_arrays a ON a.id = e.array_id WHERE e.task_id = t.id AND e.is_past = 0 AND a.created_at >= ifnull((SELECT
                        max(l.ended_at) FROM leases l WHERE l.task_id = t.id AND l.state = 'committed'), 0))
                        AS "lost?: String",
                       (SELECT max(e.ended_at) FROM slurm_elements e JOIN slurm_arrays a ON a.id = e.array_id
-                       WHERE e.task_id = t.id AND a.created_at >= ifnull((SELECT max(l.ended_at) FROM leases l
+                       WHERE e.task_id = t.id AND e.is_past = 0 AND a.created_at >= ifnull((SELECT max(l.ended_at) FROM leases l
                        WHERE l.task_id = t.id AND l.state = 'committed'), 0)) AS "lost_at?: Time",
                       iif(t.state = 'leased', (SELECT h.name FROM nodes h WHERE h.id = t.node_id), NULL) AS "beside?: String"
                FROM tasks t JOIN jobs j ON j.id = t.job_id

@@ -381,11 +381,12 @@ pub(crate) async fn begin_again(write: &mut Write, task: Id, state: &'static str
         write,
         "UPDATE tasks SET state = ?1, failures = 0, expiries = 0, progress = 0, error = NULL, not_before = 0, \
          node_id = NULL, started_at = NULL, finished_at = NULL, pixels_share = NULL, pixels_work = NULL, \
-         pixels_cpu = NULL, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
+         pixels_cpu = NULL, begun_anew = fence, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
          WHERE j.id = tasks.job_id AND b.action IN ('drain', 'stop')) WHERE id = ?2",
         state,
         task
     );
+    run!(write, "UPDATE slurm_elements SET is_past = 1 WHERE task_id = ? AND outcome IS NOT NULL", task);
     Ok(())
 }
 

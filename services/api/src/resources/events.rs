@@ -79,10 +79,8 @@ pub(crate) async fn of_farm(
     QueryParameters(query): QueryParameters<OfFarm>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let after = match start(&headers, query.last_event_id)? {
-        Some(after) => after,
-        None => app.store.last_event_id().await?,
-    };
+    let newest = app.store.last_event_id().await?;
+    let after = start(&headers, query.last_event_id, newest)?.unwrap_or(newest);
     let summaries = (query.summaries && caller.reaches_all()).then(|| app.summaries.follow());
     Ok(respond(Cursor { summaries, ..Cursor::new(&app, caller, None, (after, false)) }))
 }
@@ -101,7 +99,8 @@ pub(crate) async fn of_job(
     QueryParameters(query): QueryParameters<FromEvent>,
     headers: HeaderMap,
 ) -> ApiResult<Response> {
-    let after = start(&headers, query.last_event_id)?.unwrap_or(0);
+    let newest = app.store.last_event_id().await?;
+    let after = start(&headers, query.last_event_id, newest)?.unwrap_or(0);
     let state = app.store.job(job).await?.state;
     if state.is_final() && app.store.events_after(Some(job), after, 1).await?.is_empty() {
         return Ok(StatusCode::NO_CONTENT.into_response());
@@ -109,13 +108,20 @@ pub(crate) async fn of_job(
     Ok(respond(Cursor::new(&app, caller, Some(job), (after, state.is_final()))))
 }
 
-fn start(headers: &HeaderMap, in_query: Option<EventId>) -> ApiResult<Option<EventId>> {
-    let Some(header) = headers.get("last-event-id") else { return Ok(in_query) };
-    let id = header.to_str().ok().and_then(|text| text.trim().parse().ok());
-    id.map(Some).ok_or_else(|| {
-        ApiError::new(ProblemKind::Malformed, "Last-Event-ID is the number of an event")
-            .in_parameter("Last-Event-ID")
-    })
+/// The last event that a client has seen. Numbers beyond the newest are of a farm that was restored from a backup
+/// since: such a client goes on with what is new here.
+fn start(headers: &HeaderMap, in_query: Option<EventId>, newest: EventId) -> ApiResult<Option<EventId>> {
+    let seen = match headers.get("last-event-id") {
+        None => in_query,
+        Some(header) => {
+            let id = header.to_str().ok().and_then(|text| text.trim().parse().ok());
+            Some(id.ok_or_else(|| {
+                ApiError::new(ProblemKind::Malformed, "Last-Event-ID is the number of an event")
+                    .in_parameter("Last-Event-ID")
+            })?)
+        }
+    };
+    Ok(seen.map(|id| id.min(newest)))
 }
 
 /// The stream of events after the cursor's place.

@@ -14,7 +14,6 @@ use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::checks::check_search;
-use super::quotas::check_files;
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
@@ -44,7 +43,6 @@ pub(crate) async fn submit(
     }
     check_may_change(&principal, &request.project)?;
     let new = request_checks::checked(&app, &principal, request).await?;
-    check_files(&app, &principal, &new.request, &new.settings).await?;
     Ok(created(
         StatusCode::CREATED,
         app.by(&principal).create_job(&new, key.as_ref(), app.now()).await.map_err(at_project)?,
@@ -69,7 +67,7 @@ pub(crate) async fn check(
 ) -> ApiResult<Json<JobCheck>> {
     check_may_change(&caller, &request.project)?;
     let new = request_checks::checked(&app, &caller, request).await?;
-    check_files(&app, &caller, &new.request, &new.settings).await?;
+    app.store.check_new_job(&new, &caller.name, caller.role).await.map_err(at_project)?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }

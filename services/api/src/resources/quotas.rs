@@ -2,9 +2,8 @@
 
 use axum::Json;
 use axum::extract::State;
-use forelight_protocol::{JobRequest, JobSettings, QuotaList, QuotaRequest};
+use forelight_protocol::{QuotaList, QuotaRequest};
 use forelight_store::QuotaOf;
-use forelight_store::tokens::Principal;
 
 use super::checks::{check_name, within};
 use crate::error::{ApiError, ApiResult, Problems};
@@ -14,9 +13,6 @@ use crate::state::App;
 /// Most bytes and most open jobs of a quota.
 const MOST_BYTES: i64 = 1 << 60;
 const MOST_JOBS: i64 = 1_000_000;
-
-/// Bytes of a frame's files for each pixel, before a profile has measured them: those of most scenes.
-const BYTES_OF_PIXEL: u64 = 35;
 
 /// The quotas of projects and tokens, and how much of each is used. Who reaches some projects only, sees the
 /// quotas of these, and that of the own token.
@@ -63,20 +59,4 @@ pub(crate) async fn set(
     }
     app.by(&caller).set_quota(of, &request, app.now()).await?;
     Ok(Json(QuotaList { items: app.store.quotas(|_| true).await? }))
-}
-
-/// Refuses a job whose files do not fit into the quotas of its project and of the caller.
-pub(crate) async fn check_files(
-    app: &App,
-    caller: &Principal,
-    request: &JobRequest,
-    settings: &JobSettings,
-) -> ApiResult<()> {
-    let (width, height) = settings.size().unwrap_or_default();
-    let pixels = u64::from(width) * u64::from(height);
-    let bytes = pixels.saturating_mul(BYTES_OF_PIXEL).saturating_mul(request.frames.count());
-    for of in [QuotaOf::Project(&request.project), QuotaOf::Token(&caller.name)] {
-        app.store.check_storage(of, bytes).await?;
-    }
-    Ok(())
 }

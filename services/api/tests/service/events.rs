@@ -79,6 +79,20 @@ async fn the_farms_stream_begins_now_and_brings_what_happens() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn who_has_seen_events_that_a_restored_farm_never_had_is_told_what_is_new() {
+    let farm = Farm::new().await;
+    farm.submit("0").await;
+    let mut streams = [
+        open(&farm.viewer, "/v1/events", Some(1_000_000_000)).await,
+        open(&farm.viewer, "/v1/events?last_event_id=1000000000", None).await,
+    ];
+    let job = farm.submit("0").await;
+    for stream in &mut streams {
+        assert_eq!(stream.take(1, PATIENCE).await[0].job_id, Some(job.id));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn streams_that_begin_anywhere_and_are_told_together_miss_nothing_and_see_nothing_twice() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;

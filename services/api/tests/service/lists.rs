@@ -96,6 +96,9 @@ async fn nodes_are_found_by_state_and_text_and_sorted() {
     let page: NodePage = farm.viewer.json("/v1/nodes?search=cloud").await;
     farm.order(&page.items[0], json!({"drain": true})).await;
     assert_eq!(names("state=drained").await, ["cloud"]);
+    // What an operator sets counts, on every page.
+    farm.order(&page.items[0], json!({"price_per_hour": 1000})).await;
+    assert_eq!(names("sort=price").await, ["rack-2", "Rack-1", "cloud"]);
     assert_eq!(names("state=idle&sort=price").await, ["rack-2", "Rack-1"]);
     farm.viewer.get("/v1/nodes?state=lazy").await.problem(ProblemKind::Invalid).await;
 }

@@ -2,7 +2,7 @@
 
 use crate::support::{Answer, Farm, scene_zip};
 use forelight_protocol::{Job, ProblemKind, QuotaList};
-use reqwest::StatusCode;
+use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
 async fn set(farm: &Farm, quota: Value) -> QuotaList {
@@ -15,6 +15,11 @@ async fn a_project_and_a_token_have_so_many_open_jobs_and_are_told_what_to_do() 
     set(&farm, json!({"project": "default", "open_jobs": 2})).await;
     let first = farm.submit("0").await;
     farm.submit("0").await;
+    farm.submitter
+        .post("/v1/jobs/check", &farm.job_request("0"))
+        .await
+        .problem(ProblemKind::QuotaExceeded)
+        .await;
     let refused = farm.submitter.post("/v1/jobs", &farm.job_request("0")).await;
     let refused = refused.problem(ProblemKind::QuotaExceeded).await;
     for part in
@@ -56,9 +61,19 @@ async fn files_that_do_not_fit_into_a_quota_are_refused_before_they_are_made() {
         assert!(refused.detail.contains("forelight delete"), "{}", refused.detail);
     }
     farm.submit("0-1").await;
+    // The open job will write two frames.
+    for path in ["/v1/jobs/check", "/v1/jobs"] {
+        let refused = farm.submitter.post(path, &farm.job_request("0")).await;
+        let refused = refused.problem(ProblemKind::QuotaExceeded).await;
+        assert!(refused.detail.contains("its open jobs will write about 4480"), "{}", refused.detail);
+    }
     let zip = scene_zip();
     set(&farm, json!({"token": "submitter", "storage_bytes": zip.len() - 1})).await;
     farm.submitter.upload(zip.clone(), None).await.problem(ProblemKind::QuotaExceeded).await;
+    // In chunks, without a length.
+    let chunks = reqwest::Body::wrap_stream(futures::stream::iter([Ok::<_, std::io::Error>(zip.clone())]));
+    let sent = farm.submitter.request(Method::POST, "/v1/bundles").header("content-type", "application/zip");
+    sent.body(chunks).send().await.unwrap().problem(ProblemKind::QuotaExceeded).await;
     set(&farm, json!({"token": "submitter", "storage_bytes": 1 << 30})).await;
     assert_eq!(farm.submitter.upload(zip, None).await.status(), StatusCode::CREATED);
 }

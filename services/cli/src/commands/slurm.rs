@@ -39,6 +39,9 @@ pub struct SlurmOptions {
     /// Price of an hour of a node, in the farm's currency, such as 0.40
     #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     pub slurm_price: i64,
+    /// Option for `forelight worker` on the nodes, such as --ca-file=/shared/farm.pem; may be given several times
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    pub slurm_worker_option: Vec<String>,
     /// Time limit of previews and profiles, such as 1h. A frame's limit is two minutes plus four times the
     /// P95 of its forecast on the slowest node. The limit doubles each time that the frame exceeds it
     #[arg(long, value_name = "DURATION", default_value = "1h", value_parser = duration)]
@@ -88,6 +91,7 @@ impl SlurmOptions {
                 PreviewBackend::Cpu => "cpu",
             },
             price_per_hour: Money(self.slurm_price),
+            worker_options: self.slurm_worker_option.clone(),
             logs: there(self.slurm_logs.as_deref().unwrap_or(logs))?,
         };
         Ok(Options {

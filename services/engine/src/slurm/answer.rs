@@ -284,7 +284,8 @@ pub fn nodes(output: &[u8], partition: Option<&str>) -> Result<Vec<SlurmNode>, A
         // or wake up, and take jobs.
         let marked = state.ends_with(['*', '$', '@', '%', '!']);
         let bare = state.trim_end_matches(|c: char| !c.is_ascii_alphabetic());
-        let up = !marked && matches!(bare, "idle" | "allocated" | "mixed" | "completing" | "reserved");
+        let up =
+            !marked && matches!(bare, "idle" | "allocated" | "mixed" | "completing" | "reserved" | "planned");
         nodes.push(SlurmNode { name: name.to_owned(), cpus, up });
     }
     nodes.sort_by(|a, b| a.name.cmp(&b.name));

@@ -80,7 +80,7 @@ impl Programs {
 
 impl Cluster for Programs {
     async fn jobs(&self) -> Result<Vec<SlurmJob>, ClusterError> {
-        Ok(answer::jobs(&run("squeue", vec!["--json".to_owned()], String::new()).await?)?)
+        Ok(answer::jobs(&run("squeue", command::squeue(), String::new()).await?)?)
     }
 
     async fn nodes(&self, partition: Option<&str>) -> Result<Vec<SlurmNode>, ClusterError> {

@@ -33,6 +33,8 @@ pub struct Submitting {
     pub preview: &'static str,
     /// Price of a node per hour.
     pub price_per_hour: Money,
+    /// Further options of `forelight worker`.
+    pub worker_options: Vec<String>,
     /// Folder for the logs of processes, the same path on all nodes.
     pub logs: PathBuf,
 }
@@ -94,6 +96,7 @@ pub fn script(submitting: &Submitting, tasks: &[TaskId]) -> String {
     if let Some(bundles) = &submitting.bundles {
         words.extend(["--bundles".to_owned(), quoted_path(bundles)]);
     }
+    words.extend(submitting.worker_options.iter().map(|option| quoted(option)));
     let list: Vec<String> = tasks.iter().map(TaskId::to_string).collect();
     format!(
         "#!/bin/sh\n\
@@ -114,8 +117,14 @@ pub fn scancel(array: u32, positions: &[u32]) -> Vec<String> {
     arguments
 }
 
+/// Arguments of `squeue` that list ended jobs and those of hidden partitions, too. Slurm 22.05 lists them without
+/// being asked.
+pub fn squeue() -> Vec<String> {
+    ["--all", "--states=all", "--json"].map(str::to_owned).into()
+}
+
 pub fn sinfo() -> Vec<String> {
-    ["--noheader", "--Node", "--format=%N|%c|%T|%P"].map(str::to_owned).into()
+    ["--all", "--noheader", "--Node", "--format=%N|%c|%T|%P"].map(str::to_owned).into()
 }
 
 #[derive(Clone, PartialEq, Eq, Debug)]
@@ -194,6 +203,7 @@ mod tests {
             bundles: None,
             preview: "auto",
             price_per_hour: Money(1_250_000),
+            worker_options: vec!["--ca-file=/srv/it's/ca.pem".to_owned()],
             logs: "/srv/logs".into(),
         }
     }
@@ -273,6 +283,7 @@ mod tests {
             "auto",
             "--price",
             "1.250000",
+            "--ca-file=/srv/it's/ca.pem",
             "--task",
             "00000000-0000-0000-0000-00000000000b",
             "--name",

@@ -14,7 +14,7 @@ use crate::events::{append, event};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::jobs::read;
 use crate::projects;
-use crate::quotas::{QuotaOf, check_open_jobs};
+use crate::quotas::{check_new_job, frame_bytes};
 use crate::tasks::Common;
 use crate::writing::{Write, run};
 
@@ -50,10 +50,7 @@ impl Store {
         }
         projects::check_exists(write.connection().await?, &request.project).await?;
         let submitter = write.actor().map(|actor| actor.name.clone());
-        check_open_jobs(&mut write, QuotaOf::Project(&request.project)).await?;
-        if let Some(name) = &submitter {
-            check_open_jobs(&mut write, QuotaOf::Token(name)).await?;
-        }
+        check_new_job(write.connection().await?, new, submitter.as_deref()).await?;
         let job_id = JobId::new();
         insert(&mut write, job_id, new, submitter, now).await?;
         for frame in request.frames.iter() {
@@ -106,7 +103,7 @@ async fn insert(
         "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
          frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
          priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
-         submitted_by, video, error_target) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         submitted_by, video, error_target, frame_bytes) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         job_id.0,
         request.name,
         request.project,
@@ -136,7 +133,8 @@ async fn insert(
         request.output.as_ref().map(ToString::to_string),
         submitter,
         request.video.as_ref().map(Json),
-        request.error_target.map(Json)
+        request.error_target.map(Json),
+        frame_bytes(settings)
     );
     Ok(())
 }

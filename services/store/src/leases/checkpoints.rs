@@ -1,10 +1,11 @@
-//! Finished tiles of frames under way: one file per task, replaced as the work goes on, and deleted when the
-//! task ends.
+//! Finished tiles of frames under way: one file per attempt, replaced as the work goes on, and deleted when
+//! the task ends.
 //!
 //! Checkpoints are not artefacts: nothing refers to them or depends on them, and the service never reads
-//! them. A pixel has the same bits on every worker, so any checkpoint of a task will do, however old. Of a
-//! frame in passes, it may be from another pass: the worker takes only pixels that are not behind, and not
-//! beyond its own. A lost one costs time. The worker detects a damaged one by its checksum and ignores it.
+//! them. A pixel has the same bits on every worker, so any checkpoint of a task will do, however old. Only a
+//! task that begins anew, because a result was refused or its frame is rendered again, takes none of before.
+//! Of a frame in passes, it may be from another pass: the worker takes only pixels that are not behind, and
+//! not beyond its own. A lost one costs time. The worker detects a damaged one by its checksum and ignores it.
 
 use std::path::{Path, PathBuf};
 
@@ -31,13 +32,13 @@ impl Store {
         if !matches!(row.kind, TaskKind::Render | TaskKind::RenderPart) {
             return Err(StoreError::Conflict(format!("a {} has no tiles", row.kind)));
         }
-        let (folder, task) = (self.checkpoints(), row.task_id);
+        let (folder, file) = (self.checkpoints(), Checkpoint { task: row.task_id, fence });
         blocking(move || {
             std::fs::create_dir_all(&folder).map_err(|error| StoreError::file(&folder, error))?;
             // A temporary name, then a rename: readers see the old file or the new one, whole.
             let unfinished = folder.join(format!("{}.unfinished", Uuid::now_v7().simple()));
             let written = std::fs::write(&unfinished, &bytes)
-                .and_then(|()| std::fs::rename(&unfinished, place(&folder, task)));
+                .and_then(|()| std::fs::rename(&unfinished, file.place(&folder)));
             written.map_err(|error| {
                 // Delete the incomplete file.
                 let _ = std::fs::remove_file(&unfinished);
@@ -47,16 +48,24 @@ impl Store {
         .await
     }
 
-    /// The tiles of a lease's frame that an earlier worker finished.
+    /// The tiles of a lease's frame that an earlier worker finished: those of the latest attempt that left some.
     pub async fn checkpoint(&self, lease: LeaseId) -> Result<Vec<u8>> {
         let row = read(&mut *self.readers().acquire().await?, lease).await?;
-        let path = place(&self.checkpoints(), row.task_id);
-        blocking(move || match std::fs::read(&path) {
-            Ok(bytes) => Ok(bytes),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                Err(StoreError::NotFound("checkpoint"))
+        let (folder, task) = (self.checkpoints(), row.task_id);
+        let begun_anew =
+            sqlx::query_scalar!(r#"SELECT begun_anew AS "fence!: u64" FROM tasks WHERE id = ?"#, task.0)
+                .fetch_optional(self.readers())
+                .await?;
+        let fences = (begun_anew.unwrap_or(row.fence)..row.fence).rev();
+        blocking(move || {
+            for fence in fences.map(|before| before + 1) {
+                let path = Checkpoint { task, fence }.place(&folder);
+                match std::fs::read(&path) {
+                    Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+                    read => return read.map_err(|error| StoreError::file(&path, error)),
+                }
             }
-            Err(error) => Err(StoreError::file(&path, error)),
+            Err(StoreError::NotFound("checkpoint"))
         })
         .await
     }
@@ -68,25 +77,28 @@ impl Store {
     /// Deletes the checkpoints of ended tasks, and old incomplete files.
     pub(crate) async fn forget_checkpoints(&self) -> Result<()> {
         let folder = self.checkpoints();
-        let found: Vec<(PathBuf, Option<TaskId>)> = blocking(move || match std::fs::read_dir(&folder) {
+        let found: Vec<(PathBuf, Option<Checkpoint>)> = blocking(move || match std::fs::read_dir(&folder) {
             Ok(entries) => {
-                Ok(entries.flatten().map(|entry| (entry.path(), task_of(&entry.path()))).collect())
+                Ok(entries.flatten().map(|entry| (entry.path(), Checkpoint::at(&entry.path()))).collect())
             }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
             Err(error) => Err(StoreError::file(&folder, error)),
         })
         .await?;
-        for (path, task) in found {
-            let wanted = match task {
-                Some(task) => sqlx::query_scalar!(
-                    r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ? AND state IN ('ready', 'leased')) AS "wanted!: bool""#,
-                    task.0
-                )
-                .fetch_one(self.readers())
-                .await?,
-                // It is being written, unless it is old.
-                None => is_recent(&path),
-            };
+        for (path, checkpoint) in found {
+            let wanted =
+                match checkpoint {
+                    Some(Checkpoint { task, fence }) => sqlx::query_scalar!(
+                        r#"SELECT EXISTS (SELECT 1 FROM tasks WHERE id = ? AND state IN ('ready', 'leased')
+                       AND begun_anew < ?) AS "wanted!: bool""#,
+                        task.0,
+                        i64::try_from(fence).unwrap_or(i64::MAX)
+                    )
+                    .fetch_one(self.readers())
+                    .await?,
+                    // It is being written, unless it is old.
+                    None => is_recent(&path),
+                };
             if !wanted {
                 // If it cannot be deleted now, the next sweep tries again.
                 let _ = std::fs::remove_file(&path);
@@ -96,12 +108,21 @@ impl Store {
     }
 }
 
-fn place(folder: &Path, task: TaskId) -> PathBuf {
-    folder.join(format!("{task}.profile"))
+/// Whose work a file holds: `TASK.FENCE.profile`.
+struct Checkpoint {
+    task: TaskId,
+    fence: u64,
 }
 
-fn task_of(path: &Path) -> Option<TaskId> {
-    path.file_name()?.to_str()?.strip_suffix(".profile")?.parse().ok()
+impl Checkpoint {
+    fn place(&self, folder: &Path) -> PathBuf {
+        folder.join(format!("{}.{}.profile", self.task, self.fence))
+    }
+
+    fn at(path: &Path) -> Option<Self> {
+        let (task, fence) = path.file_name()?.to_str()?.strip_suffix(".profile")?.split_once('.')?;
+        Some(Self { task: task.parse().ok()?, fence: fence.parse().ok()? })
+    }
 }
 
 /// Whether a file was written within the last ten minutes, by the clock of the file system.

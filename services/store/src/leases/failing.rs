@@ -144,6 +144,10 @@ pub(crate) async fn fail(
         Some(Fault::Refused) => EventKind::ResultRefused,
         _ => EventKind::TaskFailed,
     };
+    if report.fault == Some(Fault::Refused) {
+        // Its pixels must not come back by its checkpoint.
+        run!(write, "UPDATE tasks SET begun_anew = fence WHERE id = ?", row.task_id.0);
+    }
     append(write, Event { message: Some(error.message.clone()), ..row.event(event, now) });
     let failures = row.failures + 1;
     run!(

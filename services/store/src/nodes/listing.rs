@@ -119,7 +119,9 @@ impl NodeListing<'_> {
                 .map(|node| self.order.place(&node))
                 .collect(),
             None => sqlx::query!(
-                r#"SELECT id AS "id: Id", name, speed, price_per_hour FROM nodes WHERE removed_at IS NULL"#
+                r#"SELECT id AS "id: Id", name, coalesce(speed_set, speed) AS "speed!: f64",
+                          coalesce(price_set, price_per_hour) AS "price_per_hour!: i64"
+                   FROM nodes WHERE removed_at IS NULL"#
             )
             .fetch_all(connection)
             .await?

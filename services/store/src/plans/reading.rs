@@ -13,7 +13,8 @@ use crate::shared_cache::parts;
 
 impl Store {
     /// The plans, newest first, after the one that `before` names, at most `limit`. If `projects` are given: the
-    /// plans that book a job of these, with the number of such bookings.
+    /// plans that book a job of these, with the number of such bookings. None if `before` was deleted, as older ones
+    /// were.
     pub async fn plans(
         &self,
         before: Option<PlanId>,
@@ -25,7 +26,7 @@ impl Store {
                       (SELECT count(*) FROM bookings b WHERE b.plan_id = p.id AND (?3 IS NULL OR b.job_id IN
                        (SELECT id FROM jobs WHERE project IN (SELECT value FROM json_each(?3))))) AS "bookings!: u64"
                FROM plans p
-               WHERE p.rowid < coalesce((SELECT rowid FROM plans WHERE id = ?1), 9223372036854775807)
+               WHERE (?1 IS NULL OR p.rowid < (SELECT rowid FROM plans WHERE id = ?1))
                AND (?3 IS NULL OR EXISTS (SELECT 1 FROM bookings b JOIN jobs j ON j.id = b.job_id
                     WHERE b.plan_id = p.id AND j.project IN (SELECT value FROM json_each(?3))))
                ORDER BY p.rowid DESC LIMIT ?2"#,

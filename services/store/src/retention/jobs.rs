@@ -78,12 +78,14 @@ impl Store {
         Ok((number, bytes))
     }
 
-    /// Jobs that ended before an instant and still have this kind of thing, oldest first.
+    /// Jobs that ended before an instant and still have this kind of thing, oldest first. Images that wait to be
+    /// written to their output folder stay, and so do their jobs.
     async fn ended(&self, kind: RetentionKind, before: Timestamp) -> Result<Vec<Ended>> {
         let (images, profiles) = (kind == RetentionKind::Images, kind == RetentionKind::Profiles);
         let rows = sqlx::query!(
             r#"SELECT id, project, finished_at AS "finished_at!" FROM jobs WHERE finished_at < ?1
                AND (?2 = 0 OR images_deleted_at IS NULL) AND (?3 = 0 OR profiles_deleted_at IS NULL)
+               AND (?3 OR NOT EXISTS (SELECT 1 FROM frames f WHERE f.job_id = jobs.id AND f.output_due = 1))
                ORDER BY finished_at, id"#,
             before.micros(),
             images,

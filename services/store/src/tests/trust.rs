@@ -214,6 +214,7 @@ async fn a_forged_result_is_refused_held_against_its_node_and_the_task_is_done_e
         let start = 100 * round;
         let job = farm.booked_job(request("0"), liar.id, at(start)).await;
         let lease = farm.claim(liar.id, at(start)).await.unwrap();
+        farm.store.put_checkpoint(lease.lease_id, lease.fence, "tiles".into()).await.unwrap();
         let result = forged(&farm, &lease, |result| forge(result)).await;
         let refused = farm.store.check_evidence(lease.lease_id, lease.fence, &result, at(start + 5)).await;
         assert!(
@@ -225,6 +226,8 @@ async fn a_forged_result_is_refused_held_against_its_node_and_the_task_is_done_e
         let said = farm.events(EventKind::ResultRefused).await;
         assert_eq!((said.len() as i64, said.last().unwrap().node_id), (round + 1, Some(liar.id)));
         let lease = farm.claim(honest.id, at(start + 10)).await.unwrap();
+        let tiles = farm.store.checkpoint(lease.lease_id).await;
+        assert!(matches!(tiles, Err(StoreError::NotFound(_))), "pixels of a refused result came back");
         let result = forged(&farm, &lease, |_| {}).await;
         farm.store.check_evidence(lease.lease_id, lease.fence, &result, at(start + 15)).await.unwrap();
         farm.store.commit_result(lease.lease_id, lease.fence, &result, at(start + 15)).await.unwrap();

@@ -127,6 +127,7 @@ fn engine(store: &Store, slurm: &FakeCluster) -> Engine<FakeCluster> {
         bundles: None,
         preview: "auto",
         price_per_hour: Money(0),
+        worker_options: Vec::new(),
         logs: "/srv/logs".into(),
     };
     let options = Options { submitting, quote_minutes: 60, reserve_for: None, poll: Duration::from_secs(5) };
