@@ -1,12 +1,14 @@
 // The frame around the screens: head, navigation, connection, and who may see it.
 
 import { useEffect, useErrorBoundary, useRef, useState } from "preact/hooks";
-import { atRisk, farm, now, unwatch, watch } from "./state/farm";
+import { atRisk, farm, unwatch, watch } from "./state/farm";
 import { lastHeard, link } from "./state/live";
+import { now } from "./state/now";
 import { href, route } from "./state/route";
 import { mayOperate, recall, seesAll, session, signOut } from "./state/session";
 import { clock, useKeys } from "./ui/keys";
-import { clockTime, timeZone, zoneAt } from "./ui/format";
+import { failedLate } from "./ui/dialog";
+import { clockTime, counted, timeZone, zoneAt } from "./ui/format";
 import { lazy } from "./ui/lazy";
 import { Trouble, Waiting } from "./ui/parts";
 import { asError, useResource } from "./ui/resource";
@@ -60,7 +62,10 @@ export function App() {
 function SignedIn() {
   useEffect(() => {
     watch();
-    return unwatch;
+    return () => {
+      unwatch();
+      failedLate.value = null;
+    };
   }, []);
   useKeys();
   const main = useRef<HTMLElement>(null);
@@ -81,9 +86,24 @@ function SignedIn() {
       </a>
       <Head />
       <main ref={main} tabIndex={-1} id="content">
+        <FailedLate />
         <Guarded key={place} />
       </main>
     </>
+  );
+}
+
+/** What failed after its question was closed. It stays until somebody has read it. */
+function FailedLate() {
+  const failed = failedLate.value;
+  if (!failed) return null;
+  return (
+    <div class="failed-late">
+      <Trouble error={new Error(`“${failed.title}” failed: ${failed.error.message}`)} />
+      <button type="button" class="plain" onClick={() => (failedLate.value = null)}>
+        I have read it
+      </button>
+    </div>
   );
 }
 
@@ -146,7 +166,7 @@ function Head() {
           <a key={name} href={href([name])} aria-current={here === name ? "page" : undefined}>
             {word}
             {name === "tonight" && risks > 0 && (
-              <span class="badge" title={`${risks} promises at risk`}>
+              <span class="badge" title={`${counted(risks, "promise")} at risk`}>
                 <span class="unseen">, promises at risk: </span>
                 {risks}
               </span>

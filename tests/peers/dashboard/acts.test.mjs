@@ -200,6 +200,13 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await dialog.getByText("in time").first().waitFor();
     await dialog.getByLabel("Budget").fill("2,50");
     assert.deepEqual([(await job(finer)).deadline, (await job(finer)).budget], [null, null]);
+    await dialog.getByLabel("Deadline").evaluate((field) => {
+      field.value = "12026-11-30T06:00";
+      field.dispatchEvent(new Event("input", { bubbles: true }));
+    });
+    await dialog.getByText("a year of four digits").waitFor();
+    assert.equal(await dialog.getByRole("button", { name: "Change and plan anew" }).isEnabled(), false);
+    await dialog.getByLabel("Deadline").fill(minutes(later));
     await press("Change and plan anew");
     await gone();
     const changed = await job(finer);
@@ -207,6 +214,45 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await page.locator(".facts").getByText("2.50").waitFor();
     await show(page, farm.address, screens(finer)["job-price"]);
     await inspect(page, "job-price");
+  });
+
+  await step("leaves alone what a colleague changes while the question is open", async () => {
+    await press("Change deadline or budget…");
+    await dialog.getByRole("cell", { name: "P95" }).waitFor();
+    const deadline = new Date(Math.floor((Date.now() + 12 * HOUR) / 60_000) * 60_000).toISOString();
+    await farm.ask("PATCH", `/v1/jobs/${finer}`, { deadline });
+    await dialog.getByText("Somebody changed the job meanwhile").waitFor();
+    await dialog.getByLabel("Budget").fill("3.00");
+    await press("Change and plan anew");
+    await gone();
+    const changed = await job(finer);
+    assert.deepEqual([Date.parse(changed.deadline), changed.budget], [Date.parse(deadline), 3_000_000]);
+  });
+
+  await step("tells of an order that failed after its question was closed", async () => {
+    const answers = [];
+    await page.route("**/cancel", (route) => answers.push(() => route.abort()));
+    await press("Cancel job…");
+    await press("Cancel the job");
+    await dialog.getByText("It is done even if you close this").waitFor();
+    await page.keyboard.press("Escape");
+    await gone();
+    await press("Change deadline or budget…");
+    await until("the order is under way", () => answers.length === 1);
+    answers[0]();
+    await page.locator(".failed-late", { hasText: "failed: The service does not answer" }).waitFor();
+    await dialog.getByRole("heading", { name: /^Change/ }).waitFor();
+    await page.unroute("**/cancel");
+    // Selecting text and letting go beside the question is no wish to close it.
+    const field = await dialog.getByLabel("Budget").boundingBox();
+    await page.mouse.move(field.x + 40, field.y + 10);
+    await page.mouse.down();
+    await page.mouse.move(4, field.y + 10);
+    await page.mouse.up();
+    assert.equal(await dialog.count(), 1);
+    await page.mouse.click(4, 4);
+    await gone();
+    await press("I have read it");
   });
 
   await step("pauses a node, drains it, and takes it back", async () => {
@@ -220,8 +266,10 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
       ["Drain", "drain", true],
     ];
     for (const [name, order, given] of orders) {
-      await press(name, dialog);
+      await dialog.getByRole("button", { name, exact: true }).press("Enter");
       await until(`${name} is done`, async () => (await node("node-2"))[order] === given);
+      const isInside = await dialog.evaluate((box) => box.contains(document.activeElement));
+      assert.ok(isInside, `the focus stays in the question after ${name}`);
     }
     await press("Close", dialog);
     await gone();
@@ -251,6 +299,9 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await press("Cancel the job");
     await page.locator(".job-title .mark", { hasText: "cancelled" }).waitFor();
     assert.equal((await job(finer)).state, "cancelled");
+    await page.getByLabel("Selected frames").fill("0");
+    await page.getByRole("button", { name: "Clear" }).waitFor();
+    assert.equal(await page.getByRole("button", { name: "Retry…" }).count(), 0, "it would be refused");
     noFaults(page);
   });
 

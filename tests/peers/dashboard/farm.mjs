@@ -1,6 +1,7 @@
 // A farm in processes of its own, and requests to it that do not go through the page.
 
 import { spawn, execFile } from "node:child_process";
+import { randomUUID } from "node:crypto";
 import fs from "node:fs";
 import { promisify } from "node:util";
 import path from "node:path";
@@ -78,6 +79,7 @@ export class Farm {
       headers: {
         Authorization: `Bearer ${this.token()}`,
         ...(body ? { "Content-Type": "application/json" } : {}),
+        ...(method === "POST" ? { "Idempotency-Key": randomUUID() } : {}),
       },
       body: body ? JSON.stringify(body) : undefined,
     });

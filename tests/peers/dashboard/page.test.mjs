@@ -101,6 +101,33 @@ test("a working farm", { timeout: 480_000 }, async (t) => {
     noFaults(page);
   });
 
+  await step("tells of a job that failed before its deadline, and offers to submit it again", async () => {
+    await show(page, farm.address, screens(null).tonight);
+    await page.getByText("No promise is at risk").waitFor();
+    const broken = await failing(farm, job);
+    await page.getByText("1 job failed, before the deadline").waitFor();
+    await until("the title tells of it", async () => /1 at risk/.test(await page.title()));
+    assert.match(await page.locator("#icon").getAttribute("href"), /risk/);
+    await page.getByRole("link", { name: /1 job failed/ }).click();
+    await page.locator(".job-row", { hasText: "broken" }).getByRole("link").click();
+    await page.locator(".job-title .mark", { hasText: "failed" }).waitFor();
+    const facts = await page.locator(".job-top .facts").innerText();
+    assert.match(facts, /at risk/);
+    assert.doesNotMatch(facts, /to spare|kept|took/);
+    await page.getByLabel("Selected frames").fill("0-3,900");
+    await page.getByText("1 frame", { exact: true }).waitFor();
+    assert.equal(await page.getByRole("button", { name: "Retry…" }).count(), 0, "it was never booked");
+    await inspect(page, "failed-job");
+    await page.getByRole("link", { name: "Submit again…" }).click();
+    await page.getByRole("heading", { name: "What do you want?" }).waitFor();
+    assert.equal(await page.getByLabel("Name").inputValue(), "broken");
+    await farm.ask("DELETE", `/v1/jobs/${broken}`);
+    await show(page, farm.address, screens(null).tonight);
+    await page.reload();
+    await page.getByText("No promise is at risk").waitFor();
+    noFaults(page);
+  });
+
   await step("shows what events say without asking again", async () => {
     await show(page, farm.address, screens(null).tonight);
     await page.route("**/v1/dashboard", (route) => route.abort());
@@ -186,6 +213,12 @@ test("a working farm", { timeout: 480_000 }, async (t) => {
     await show(page, farm.address, screens(null).audit);
     await page.getByRole("cell", { name: "token revoked" }).first().waitFor();
     await page.getByRole("cell", { name: "retention set" }).first().waitFor();
+    const submitted = page.getByRole("row", { name: /job submitted.*kitchen-night/ });
+    await submitted.getByRole("button", { name: "job submitted" }).press("Enter");
+    await page.getByRole("cell", { name: "frames: 0-5" }).waitFor();
+    await inspect(page, "audit-entry");
+    await submitted.getByRole("link", { name: "kitchen-night" }).click();
+    await page.getByRole("heading", { name: "kitchen-night" }).waitFor();
     noFaults(page);
   });
 
@@ -277,6 +310,14 @@ async function hold(farm) {
   return id;
 }
 
+/** Submits a frame of a job again, with a limit that no task keeps. Returns its id. */
+async function failing(farm, job) {
+  const { bundle, settings } = await farm.get(`/v1/jobs/${job}`);
+  const deadline = new Date(Date.now() + 3_600_000).toISOString();
+  const terms = { name: "broken", frames: "0", samples: 16, limits: { wall_ms: 1 }, deadline };
+  return (await farm.ask("POST", "/v1/jobs", { bundle, settings, ...terms })).id;
+}
+
 /** Accepts a job that two nodes finish well before its deadline, and one does not. Returns its id. */
 async function risky(farm, id) {
   const { outlook, at } = await farm.get(`/v1/jobs/${id}/answers`);
@@ -292,10 +333,17 @@ async function risky(farm, id) {
 /** Takes the rescue that moves the deadline. */
 async function rescue(page) {
   await page.getByRole("button", { name: /Look (at the rescue|for a way out)/ }).click();
-  await page.locator(".ways label", { hasText: "The deadline" }).first().click();
-  await page.getByText("Cost of all jobs").waitFor();
   const act = page.getByRole("button", { name: "Make this change" });
-  await until("the planner has answered", () => act.isEnabled());
+  const again = page.getByRole("button", { name: "Ask for ways out again" });
+  await until("a later deadline is kept", async () => {
+    await page.locator(".ways label", { hasText: "The deadline" }).first().click();
+    await page.getByText("Cost of all jobs").waitFor();
+    await until("the planner has answered", async () => (await act.isEnabled()) || (await again.count()) > 0);
+    if (await act.isEnabled()) return true;
+    // The farm went on since the plan that found it.
+    await again.click();
+    return false;
+  });
   await inspect(page, "rescue-question");
   await act.click();
   await page.locator("dialog").waitFor({ state: "detached" });

@@ -217,6 +217,36 @@ test("texts of the service lose control characters and marks of direction, and n
   assert.equal(sentence("wall_right, paint: 3 %"), "wall_right, paint: 3 %.");
 });
 
+test("durations and amounts have one style, whether the page or the service writes them", async () => {
+  const { duration, told } = await load("ui/format.ts");
+  assert.deepEqual([45_000, 75_000, 1_766_000, 1_800_000, 12_000_000, 187_200_000].map(duration), [
+    "45 s",
+    "1 min 15 s",
+    "29 min 26 s",
+    "30 min",
+    "3 h 20 min",
+    "2 d 4 h",
+  ]);
+  assert.equal(told("the deadline 28 min 0 s later: -0.0123"), "the deadline 28 min later: −0.012");
+  assert.equal(told("2 h 0 min late: +1.20"), "2 h late: +1.20");
+  assert.equal(told("1 h 10 min 30 s"), "1 h 10 min 30 s");
+  assert.equal(told("shot-1.25 lasts 1.5 s"), "shot-1.25 lasts 1.5 s");
+});
+
+test("a line that begins with a name keeps its letters", async () => {
+  const { sentence } = await load("ui/format.ts");
+  assert.equal(sentence("hero ends later", true), "hero ends later.");
+  assert.equal(sentence("one more node", true), "One more node.");
+});
+
+test("an instant is read from a field, unless its year has five digits", async () => {
+  const { localText, timestampOf } = await load("ui/moment.tsx");
+  assert.equal(Date.parse(timestampOf("2026-11-30T06:00")), new Date(2026, 10, 30, 6).getTime());
+  assert.equal(timestampOf(localText(0)), new Date(0).toISOString());
+  for (const text of ["12026-11-30T06:00", "275760-12-30T06:00", "", "soon"])
+    assert.equal(timestampOf(text), null, text);
+});
+
 test("every frame has a cell of its own, within the strip, and is found again under its middle", async () => {
   const { layOut, cellAt } = await load("screens/job/strip-layout.ts");
   for (const count of [1, 2, 48, 300, 2_000, 10_000]) {

@@ -4,25 +4,28 @@
 import { computed, effect, signal } from "@preact/signals";
 import { get } from "../api/client";
 import type { Event, Farm, FarmSummary } from "../api/types";
+import { askFailed, failedAhead, forgetFailed, tellsOfFailed } from "./failed";
+import { askEarlier, forgetHappened, happen } from "./happened";
 import { follow, onEvents, summary, unfollow } from "./live";
 import { farmAfter, farmSummed, isNews } from "./news";
+import { now } from "./now";
 
 export const farm = signal<Farm | null>(null);
 export const farmError = signal<Error | null>(null);
 
-/** The present minute, so that what depends on the time is drawn anew once a minute. */
-export const now = signal(Date.now());
-
 /** The newest events, newest first. */
-export const recent = signal<Event[]>([]);
+const recent = signal<Event[]>([]);
 
-/** Number of promises at risk. The document has them all only on a farm that is not large. */
-export const atRisk = computed(() => {
+/** Number of open promises at risk. The document has them all only on a farm that is not large. */
+export const openAtRisk = computed(() => {
   const doc = farm.value;
   if (!doc) return 0;
   const shown = doc.jobs.filter((job) => job.promise && !job.promise.kept).length;
   return doc.jobs_open_total > doc.jobs.length ? Math.max(shown, doc.counts.promises_at_risk) : shown;
 });
+
+/** The same with jobs that failed before their deadlines: the tab, its icon and the head tell of them. */
+export const atRisk = computed(() => openAtRisk.value + failedAhead.value.length);
 
 const SOON = 3_000;
 const LATER = 10_000;
@@ -51,14 +54,23 @@ let due = 0;
 let stop: (() => void) | null = null;
 let unsum: (() => void) | null = null;
 let minute: ReturnType<typeof setInterval> | undefined;
+const failedCount = computed(() => farm.value?.counts.jobs.failed ?? null);
+/** Number of failed jobs when they were last asked for. */
+let failedKnown: number | null = null;
 
 /** Starts to watch the farm. */
 export function watch(): void {
   if (stop) return;
   stop = onEvents(take);
-  unsum = effect(() => {
-    if (summary.value) sumUp(summary.value);
-  });
+  const unlisten = [
+    effect(() => {
+      if (summary.value) sumUp(summary.value);
+    }),
+    effect(() => {
+      if (failedCount.value !== null && failedCount.value !== failedKnown) refreshFailed();
+    }),
+  ];
+  unsum = () => unlisten.forEach((end) => end());
   minute = setInterval(() => (now.value = Date.now()), 20_000);
   document.addEventListener("visibilitychange", woken);
   void refresh();
@@ -75,6 +87,9 @@ export function unwatch(): void {
   farm.value = null;
   farmError.value = null;
   recent.value = [];
+  failedKnown = null;
+  forgetFailed();
+  forgetHappened();
 }
 
 function woken(): void {
@@ -93,18 +108,30 @@ export async function refresh(): Promise<void> {
     if (!stop) return;
     // Events that came meanwhile are newer than the document.
     const meanwhile = recent.peek().filter((event) => event.id > next.last_event_id);
+    const old = farm.peek();
     farm.value = farmAfter(next, meanwhile.reverse());
     counted = next.last_event_id;
     farmError.value = null;
+    if (failedKnown === null) refreshFailed();
     now.value = Date.now();
     const newest = recent.peek()[0]?.id ?? 0;
     const missing = next.events.filter((event) => event.id > newest);
     if (missing.length) recent.value = [...missing, ...recent.peek()].slice(0, KEPT_EVENTS);
+    happen(next.events);
+    if (old === null) askEarlier(next.last_event_id);
     follow(next.last_event_id);
   } catch (error) {
     farmError.value = error instanceof Error ? error : new Error(String(error));
   }
   if (stop) schedule(QUIET);
+}
+
+/** Asks for the failed jobs. If there is no answer, the next document of the farm asks again. */
+function refreshFailed(): void {
+  const count = failedCount.peek();
+  if (count === null) return;
+  failedKnown = count;
+  askFailed(count).catch(() => (failedKnown = null));
 }
 
 function schedule(after: number): void {
@@ -121,9 +148,11 @@ function take(events: readonly Event[]): void {
   const told = events.filter((event) => isNews(event) && event.id > newest).reverse();
   const old = farm.peek();
   if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
+  happen(events);
   // The document knows what happened before it.
   const news = events.filter((event) => event.id > (old?.last_event_id ?? 0));
   if (old) farm.value = farmAfter(old, news, counted);
+  if (events.some(tellsOfFailed)) refreshFailed();
   if (!summary.peek()) schedule(events.some((event) => ASKED_SOON.has(event.kind)) ? SOON : LATER);
 }
 

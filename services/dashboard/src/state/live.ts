@@ -48,6 +48,8 @@ const KINDS: Record<EventKind, true> = {
   artifact_damaged: true,
 };
 
+export const EVENT_KINDS: readonly string[] = Object.keys(KINDS);
+
 type Listener = (events: readonly Event[]) => void;
 
 /** What is called for events, with what is called when some are left out. */
@@ -92,7 +94,7 @@ export function follow(after: number): void {
   if (isNew) newest = after;
   stream ??= openStream({
     address: (last) => `/v1/events?summaries=true&last_event_id=${last}`,
-    kinds: Object.keys(KINDS),
+    kinds: EVENT_KINDS,
     take,
     others: { farm: (data) => (summary.value = JSON.parse(data) as FarmSummary) },
     opened: () => {

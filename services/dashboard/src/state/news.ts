@@ -19,7 +19,11 @@ interface Known {
 /** Whether an event says more than how far a task is. */
 export const isNews = (event: Event) => event.kind !== "task_progress";
 
-const OVER: readonly JobState[] = ["done", "failed", "cancelled"];
+/** Whether a job is over. */
+export const isOver = (state: JobState) => state === "done" || neverEnds(state);
+
+/** Whether it is over without its last frames, so that it met no deadline. */
+export const neverEnds = (state: JobState) => state === "failed" || state === "cancelled";
 
 /** A job after an event of it: the same object if the event says nothing that is shown. */
 export function jobAfter<J extends Known>(job: J, event: Event): J {
@@ -89,11 +93,11 @@ export function farmAfter(old: Farm, events: readonly Event[], counted = 0): Far
     const after = before ? rowAfter(before, event) : newRow(event);
     if (!after || after === before) continue;
     changed = true;
-    const isOver = OVER.includes(after.state);
-    if (isOver) rows.delete(after.id);
+    const isGone = isOver(after.state);
+    if (isGone) rows.delete(after.id);
     else rows.set(after.id, after);
     if (event.id <= counted) continue;
-    total += Number(!before) - Number(isOver);
+    total += Number(!before) - Number(isGone);
     if (before?.state !== after.state) {
       if (before) counts[before.state]--;
       counts[after.state]++;

@@ -1,9 +1,13 @@
 // A modal question. The browser's own dialog keeps the focus inside and closes on Escape.
 
 import type { ComponentChildren } from "preact";
+import { signal } from "@preact/signals";
 import { useEffect, useId, useRef, useState } from "preact/hooks";
 import { asError } from "./resource";
-import { Trouble } from "./parts";
+import { Act, Trouble } from "./parts";
+
+/** What failed after its question was closed, and why. */
+export const failedLate = signal<{ title: string; error: Error } | null>(null);
 
 export function Dialog(props: {
   title: string;
@@ -13,6 +17,8 @@ export function Dialog(props: {
 }) {
   const element = useRef<HTMLDialogElement>(null);
   const id = useId();
+  // Who selects text and lets go outside closes nothing.
+  const pressed = useRef<EventTarget | null>(null);
   useEffect(() => {
     const before = document.activeElement;
     element.current?.showModal();
@@ -26,7 +32,11 @@ export function Dialog(props: {
       aria-labelledby={id}
       class={props.wide ? "wide" : ""}
       onClose={props.close}
-      onClick={(event) => event.target === element.current && element.current?.close()}
+      onPointerDown={(event) => (pressed.current = event.target)}
+      onClick={(event) => {
+        const isOutside = (target: EventTarget | null) => target !== null && target === element.current;
+        if (isOutside(event.target) && isOutside(pressed.current)) element.current?.close();
+      }}
     >
       <div class="dialog-body">
         <h2 id={id}>{props.title}</h2>
@@ -37,27 +47,35 @@ export function Dialog(props: {
 }
 
 /** A dialog that does one thing, after it has said what that means. */
-export function Confirm(props: {
+export function Confirm<T>(props: {
   title: string;
   /** The word on the button, such as `Cancel the job`. */
   act: string;
   danger?: boolean;
   /** Whether the button can be pressed yet. */
   ready?: boolean;
-  run: () => Promise<unknown>;
+  run: () => Promise<T>;
+  /** Is called with the answer of `run`, unless the question was closed before. */
+  next?: (answer: T) => void;
   close: () => void;
   children?: ComponentChildren;
   wide?: boolean;
 }) {
   const [state, setState] = useState<{ busy: boolean; error: Error | null }>({ busy: false, error: null });
+  const isOpen = useRef(true);
+  useEffect(() => () => void (isOpen.current = false), []);
   const run = async (event: Event) => {
     event.preventDefault();
     setState({ busy: true, error: null });
     try {
-      await props.run();
+      const answer = await props.run();
+      // Another question may be open by now.
+      if (!isOpen.current) return;
       props.close();
+      props.next?.(answer);
     } catch (error) {
-      setState({ busy: false, error: asError(error) });
+      if (isOpen.current) setState({ busy: false, error: asError(error) });
+      else failedLate.value = { title: props.title, error: asError(error) };
     }
   };
   return (
@@ -66,16 +84,18 @@ export function Confirm(props: {
         {props.children}
         {state.error && <Trouble error={state.error} />}
         <div class="buttons">
-          <button
+          <Act
             type="submit"
             class={props.danger ? "danger" : "primary"}
-            disabled={state.busy || props.ready === false}
+            busy={state.busy}
+            disabled={!state.busy && props.ready === false}
           >
             {state.busy ? "Asking the service…" : props.act}
-          </button>
+          </Act>
           <button type="button" onClick={props.close}>
-            Leave it
+            {state.busy ? "Close" : "Leave it"}
           </button>
+          {state.busy && <span class="muted">It is done even if you close this.</span>}
         </div>
       </form>
     </Dialog>

@@ -66,16 +66,19 @@ export function fullTime(at: number): string {
   return full.format(at);
 }
 
-/** `45 s`, `12 min`, `3 h 20 min`, `2 d 4 h`. */
+/** `45 s`, `12 min`, `29 min 26 s`, `3 h 20 min`, `2 d 4 h`: the two greatest units, without zeros. */
 export function duration(ms: number): string {
   const seconds = Math.round(Math.abs(ms) / 1000);
-  if (seconds < 90) return `${seconds} s`;
+  if (seconds < 60) return `${seconds} s`;
+  if (seconds < 3_600) return twoUnits(Math.floor(seconds / 60), "min", seconds % 60, "s");
   const minutes = Math.round(seconds / 60);
-  if (minutes < 60) return `${minutes} min`;
   const hours = Math.floor(minutes / 60);
-  if (hours < 48) return minutes % 60 === 0 ? `${hours} h` : `${hours} h ${minutes % 60} min`;
-  const days = Math.floor(hours / 24);
-  return hours % 24 === 0 ? `${days} d` : `${days} d ${hours % 24} h`;
+  if (hours < 48) return twoUnits(hours, "h", minutes % 60, "min");
+  return twoUnits(Math.floor(hours / 24), "d", hours % 24, "h");
+}
+
+function twoUnits(great: number, unit: string, small: number, smallUnit: string): string {
+  return small === 0 ? `${great} ${unit}` : `${great} ${unit} ${small} ${smallUnit}`;
 }
 
 /** CPU time: `0.42 s`, `12.3 s`, `4.1 min`, `12.5 h`. */
@@ -182,9 +185,21 @@ export function words(name: string): string {
 
 const STAMP = /\d{4}-\d\d-\d\dT\d\d:\d\d(?::\d\d(?:\.\d+)?)?(?:Z|[+-]\d\d:\d\d)/g;
 
+/** What an amount is more or less: `+1.20`, `−0.35`. */
+export function signedMoney(micros: number): string {
+  return `${micros < 0 ? "−" : "+"}${money(Math.abs(micros))}`;
+}
+
+/** Durations and amounts of the service, written as the page writes them. */
+function asHere(text: string): string {
+  return text
+    .replace(/(\d (?:min|h)) 0 (?:s|min)(?![\w])/g, "$1")
+    .replace(/(?<![^\s(])[+-]\d+\.\d{2,6}(?![\w.]| ?%)/g, (amount) => signedMoney(Number(amount) * 1e6));
+}
+
 /** A text of the service for people: one line, with its instants in the viewer's zone. */
 export function told(text: string): string {
-  const shown = clean(text);
+  const shown = asHere(clean(text));
   // Instants that minutes do not tell apart have seconds.
   const stamps = (shown.match(STAMP) ?? []).map((stamp) => Date.parse(stamp));
   const near = stamps.length > 1 && Math.max(...stamps) - Math.min(...stamps) < 5 * 60_000;
@@ -194,11 +209,15 @@ export function told(text: string): string {
   });
 }
 
-/** The same as a sentence. */
-export function sentence(text: string): string {
+/** Words with which lines about jobs and nodes begin. Any other first word may be a name. */
+const FIRST_WORDS =
+  /^(?:a|an|all|and|at|because|every|frames?|its?|less|more|no|none|nothing|one|the|with|without)\b/;
+
+/** The same as a sentence. A line that is `named` may begin with a name, which stays as it is written. */
+export function sentence(text: string, named = false): string {
   const shown = told(text);
-  // A name at the beginning stays as it is written.
-  const first = /^[a-z]+(?=\s)/.test(shown) ? shown.slice(0, 1).toUpperCase() + shown.slice(1) : shown;
+  const isWord = (named ? FIRST_WORDS : /^[a-z]+/).test(shown) && /^[a-z]+(?=\s)/.test(shown);
+  const first = isWord ? shown.slice(0, 1).toUpperCase() + shown.slice(1) : shown;
   return /[.!?]$/.test(first) ? first : `${first}.`;
 }
 

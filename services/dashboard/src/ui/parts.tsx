@@ -15,6 +15,15 @@ export function Time(props: { at: number | string | null | undefined; exact?: bo
   );
 }
 
+/** When something was computed that goes on changing. */
+export function AsOf(props: { at: string }) {
+  return (
+    <span class="note">
+      as of <Time at={props.at} />
+    </span>
+  );
+}
+
 export function Money(props: { of: number | null | undefined; none?: string }) {
   if (props.of == null) return <span class="none">{props.none ?? "–"}</span>;
   return (
@@ -24,9 +33,12 @@ export function Money(props: { of: number | null | undefined; none?: string }) {
   );
 }
 
-/** A text of the service: instants in the viewer's zone, and what stands in backquotes as code. */
-export function Prose(props: { text: string; bare?: boolean }) {
-  const parts = (props.bare ? told(props.text) : sentence(props.text)).split("`");
+/**
+ * A text of the service: instants in the viewer's zone, and what stands in backquotes as code. `bare`: not as a
+ * sentence. `named`: it may begin with the name of a job or node.
+ */
+export function Prose(props: { text: string; bare?: boolean; named?: boolean }) {
+  const parts = (props.bare ? told(props.text) : sentence(props.text, props.named)).split("`");
   return <>{parts.map((part, at) => (at % 2 === 1 ? <code key={at}>{part}</code> : part))}</>;
 }
 
@@ -127,6 +139,36 @@ function Rows(props: { label: string; head: string[]; rows: () => ComponentChild
         </tbody>
       </table>
     </div>
+  );
+}
+
+/**
+ * A button that keeps the focus while what it began is being done: presses are ignored meanwhile, but the browser
+ * takes no focus away.
+ */
+export function Act(props: {
+  busy: boolean;
+  type?: "button" | "submit";
+  class?: string;
+  title?: string;
+  label?: string;
+  /** Whether it could not be pressed anyway. */
+  disabled?: boolean;
+  press?: () => void;
+  children: ComponentChildren;
+}) {
+  return (
+    <button
+      type={props.type ?? "button"}
+      class={props.class}
+      title={props.title}
+      aria-label={props.label}
+      aria-disabled={props.busy ? "true" : undefined}
+      disabled={props.disabled ?? false}
+      onClick={(event) => (props.busy ? event.preventDefault() : props.press?.())}
+    >
+      {props.children}
+    </button>
   );
 }
 

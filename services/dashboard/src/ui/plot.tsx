@@ -27,10 +27,27 @@ interface Unit {
 /** Money in micro-units, of which there are no parts. */
 export const MONEY: Unit = { words: moneyOnAxis, incrs: WHOLE };
 
+/** The width of the longest label, CSS pixels. */
+function widest(plot: uPlot, labels: readonly string[]): number {
+  plot.ctx.font = FONT;
+  return Math.max(0, ...labels.map((label) => plot.ctx.measureText(label).width));
+}
+
 /** The width that a vertical axis needs for its labels, CSS pixels. */
 function room(plot: uPlot, labels: string[] | null): number {
-  plot.ctx.font = FONT;
-  return TICK + 2 * GAP + Math.max(0, ...(labels ?? []).map((label) => plot.ctx.measureText(label).width));
+  return TICK + 2 * GAP + widest(plot, labels ?? []);
+}
+
+/** How far lines of a horizontal axis must lie apart for their labels, CSS pixels. */
+function apart(
+  plot: uPlot,
+  from: number,
+  to: number,
+  across: ((value: number) => string) | undefined,
+): number {
+  // Labels of other days are longer, so both ends are measured, and what lies between them.
+  const words = across ?? timeWords((to - from) / MOST_LINES);
+  return Math.max(LEAST_APART, 4 * GAP + widest(plot, [from, (from + to) / 2, to].map(words)));
 }
 
 /** Writes instants of a time axis whose lines are so many seconds apart. */
@@ -39,6 +56,10 @@ function timeWords(step: number): (seconds: number) => string {
   if (step >= 86_400) return (seconds) => dayName(seconds * 1000);
   return (seconds) => clockTime(seconds * 1000);
 }
+
+/** A horizontal axis of time has about so many lines. */
+const MOST_LINES = 12;
+const LEAST_APART = 50;
 
 /** Axes in the page's colours. `across` writes a value of the horizontal axis, if it is not time. */
 export function axes(unit: Unit, across?: (value: number) => string): uPlot.Axis[] {
@@ -54,6 +75,7 @@ export function axes(unit: Unit, across?: (value: number) => string): uPlot.Axis
     {
       ...common,
       size: 30,
+      space: (plot: uPlot, _: number, from: number, to: number) => apart(plot, from, to, across),
       values: (_: uPlot, at: number[], __: number, ___: number, step: number) =>
         at.map(across ?? timeWords(step)),
     },
@@ -76,18 +98,22 @@ export function frameAxes(unit: Unit, name: (place: number) => string, left: num
   ];
 }
 
-/** A band of forecasts: to P95, to P80, and the line of P50. They are the first three series. */
-export function quantileBand(width: number) {
+/**
+ * A band of forecasts: to P95, to P80, and the line of P50. They are the first three series. A line needs two
+ * places: one that is `alone` is a point of each colour.
+ */
+export function quantileBand(width: number, alone = false) {
+  const series = (name: "p50" | "p80" | "p95", width: number) => ({
+    stroke: colour(name),
+    width,
+    points: { show: alone, size: 12, fill: colour(name), stroke: colour("line") },
+  });
   return {
     bands: [
       { series: [1, 2] as [number, number], fill: colour("p95") },
       { series: [2, 3] as [number, number], fill: colour("p80") },
     ],
-    series: [
-      { stroke: colour("p95"), width: 1, points: { show: false } },
-      { stroke: colour("p80"), width: 1, points: { show: false } },
-      { stroke: colour("p50"), width, points: { show: false } },
-    ],
+    series: [series("p95", 1), series("p80", 1), series("p50", width)],
   };
 }
 

@@ -1,7 +1,7 @@
 // Nodes × time: past as it was, running, and booked ahead at P50 with P80 ends.
 
 import { useEffect, useLayoutEffect, useMemo, useRef, useState } from "preact/hooks";
-import { now } from "../../state/farm";
+import { now } from "../../state/now";
 import { useAddressed } from "../../state/addressed";
 import { go } from "../../state/route";
 import { clean } from "../../ui/format";

@@ -93,7 +93,7 @@ function Nodes() {
       {total.value === 0 ? (
         <NoNodes />
       ) : list ? (
-        <NodeList state={state} search={search} open={(id) => setQuery({ node: id })} key={version} />
+        <NodeList state={state} search={search} version={version} open={(id) => setQuery({ node: id })} />
       ) : (
         <ChartView
           state={state}

@@ -11,7 +11,7 @@ import { mayOperate } from "../../state/session";
 import { bytes, clean, counted, money, significant } from "../../ui/format";
 import { Mark } from "../../ui/mark";
 import { PAGE, type Pages, usePages } from "../../ui/pages";
-import { Trouble, Waiting } from "../../ui/parts";
+import { Act, Trouble, Waiting } from "../../ui/parts";
 import { asError, useThrottled } from "../../ui/resource";
 import { VirtualTable } from "../../ui/virtual";
 import { Activity } from "./activity";
@@ -22,8 +22,14 @@ const SORTS = [
   ["price", "Price"],
 ] as const;
 
-export function NodeList(props: { state: NodeState | ""; search: string; open: (id: string) => void }) {
-  const { state, search } = props;
+export function NodeList(props: {
+  state: NodeState | "";
+  search: string;
+  /** Grows when a node was changed elsewhere. */
+  version: number;
+  open: (id: string) => void;
+}) {
+  const { state, search, version } = props;
   const sort = SORTS.find(([value]) => value === param("sort"))?.[0] ?? "name";
   const ask = useCallback(
     async (token: string | null) => {
@@ -42,6 +48,9 @@ export function NodeList(props: { state: NodeState | ""; search: string; open: (
   );
   const listed = usePages(ask, () => null);
   const again = useThrottled(listed.again, 3_000);
+  useEffect(() => {
+    if (version > 0) listed.again();
+  }, [version]);
   useNews(listed, again);
   const changed = (node: Node) => listed.change((one) => (one.id === node.id ? node : one));
 
@@ -132,22 +141,20 @@ function Row(props: { node: Node; open: (id: string) => void; changed: (node: No
       <span role="cell" class="orders">
         {mayOperate.value && (
           <>
-            <button
-              type="button"
-              disabled={busy}
-              onClick={() => void order({ drain: !node.drain })}
-              aria-label={`${node.drain ? "Back to work" : "Drain"}: ${clean(node.name)}`}
+            <Act
+              busy={busy}
+              press={() => void order({ drain: !node.drain })}
+              label={`${node.drain ? "Back to work" : "Drain"}: ${clean(node.name)}`}
             >
               {node.drain ? "Back" : "Drain"}
-            </button>{" "}
-            <button
-              type="button"
-              disabled={busy}
-              onClick={() => void order({ pause: !node.pause })}
-              aria-label={`${node.pause ? "Resume" : "Pause"}: ${clean(node.name)}`}
+            </Act>{" "}
+            <Act
+              busy={busy}
+              press={() => void order({ pause: !node.pause })}
+              label={`${node.pause ? "Resume" : "Pause"}: ${clean(node.name)}`}
             >
               {node.pause ? "Resume" : "Pause"}
-            </button>
+            </Act>
           </>
         )}
       </span>

@@ -8,9 +8,10 @@ import { onEvents } from "../../state/live";
 import { isNews } from "../../state/news";
 import { mayOperate } from "../../state/session";
 import { Dialog } from "../../ui/dialog";
-import { bytes, clean, money, moneyField, parseMoney, significant, timeZone, told } from "../../ui/format";
+import { bytes, clean, money, moneyField, parseMoney, significant, told } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Field, Time, Trouble, Waiting } from "../../ui/parts";
+import { Moment, timestampOf } from "../../ui/moment";
+import { Act, Field, Time, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
 import { Activity } from "./activity";
 import { Schedule, scheduleWords } from "./schedule";
@@ -31,7 +32,7 @@ export function NodeDialog(props: { id: string; close: () => void; changed: () =
   );
   const [error, setError] = useState<Error | null>(null);
   const [busy, setBusy] = useState(false);
-  const order = async (change: NodeChange) => {
+  const order: Order = async (change) => {
     setBusy(true);
     setError(null);
     try {
@@ -39,10 +40,13 @@ export function NodeDialog(props: { id: string; close: () => void; changed: () =
       node.reload();
       props.changed();
       void refresh();
+      return true;
     } catch (failure) {
       setError(asError(failure));
+      return false;
+    } finally {
+      setBusy(false);
     }
-    setBusy(false);
   };
   const doc = node.data;
   return (
@@ -134,65 +138,58 @@ function Fact(props: { name: string; children: preact.ComponentChildren }) {
   );
 }
 
-type Order = (change: NodeChange) => Promise<void>;
+/** Gives an order. Whether it was taken. */
+type Order = (change: NodeChange) => Promise<boolean>;
 
 function Orders(props: { node: Node; order: Order; busy: boolean }) {
   const { node, order, busy } = props;
   return (
     <div class="buttons">
       {node.drain ? (
-        <button type="button" disabled={busy} onClick={() => void order({ drain: false })}>
+        <Act busy={busy} press={() => void order({ drain: false })}>
           Back to work
-        </button>
+        </Act>
       ) : (
-        <button
-          type="button"
-          disabled={busy}
+        <Act
+          busy={busy}
           title="It finishes its task and takes no more"
-          onClick={() => void order({ drain: true })}
+          press={() => void order({ drain: true })}
         >
           Drain
-        </button>
+        </Act>
       )}
       {node.pause ? (
-        <button type="button" disabled={busy} onClick={() => void order({ pause: false })}>
+        <Act busy={busy} press={() => void order({ pause: false })}>
           Resume
-        </button>
+        </Act>
       ) : (
-        <button
-          type="button"
-          disabled={busy}
-          title="It keeps its task and stands still"
-          onClick={() => void order({ pause: true })}
-        >
+        <Act busy={busy} title="It keeps its task and stands still" press={() => void order({ pause: true })}>
           Pause
-        </button>
+        </Act>
       )}
       {node.set_aside ? (
-        <button type="button" disabled={busy} onClick={() => void order({ set_aside: false })}>
+        <Act busy={busy} press={() => void order({ set_aside: false })}>
           Bring back
-        </button>
+        </Act>
       ) : (
-        <button
-          type="button"
+        <Act
           class="danger"
-          disabled={busy}
+          busy={busy}
           title="It gets no tasks until it is brought back"
-          onClick={() => void order({ set_aside: true })}
+          press={() => void order({ set_aside: true })}
         >
           Set aside
-        </button>
+        </Act>
       )}
       {node.task_id && (
-        <button
-          type="button"
+        <Act
           class="danger"
-          disabled={busy}
+          busy={busy}
           title="Any node may start the task again"
-          onClick={() => void order({ cancel_task: true })}
+          press={() => void order({ cancel_task: true })}
         >
           Take its task away
-        </button>
+        </Act>
       )}
     </div>
   );
@@ -223,13 +220,13 @@ function Terms(props: { node: Node; order: Order; busy: boolean }) {
             />
           )}
         </Field>
-        <button type="submit" disabled={busy || micros === null || micros === node.price_per_hour}>
+        <Act type="submit" busy={busy || micros === null || micros === node.price_per_hour}>
           Set the price
-        </button>
+        </Act>
         {node.price_set && (
-          <button type="button" disabled={busy} onClick={() => void order({ price_per_hour: null })}>
+          <Act busy={busy} press={() => void order({ price_per_hour: null })}>
             What the node says
-          </button>
+          </Act>
         )}
       </form>
       <p>
@@ -246,8 +243,7 @@ function Terms(props: { node: Node; order: Order; busy: boolean }) {
           isSet={node.schedule_set ?? false}
           busy={busy}
           save={async (schedule) => {
-            await order({ schedule });
-            setEditing(false);
+            if (await order({ schedule })) setEditing(false);
           }}
           close={() => setEditing(false)}
         />
@@ -262,6 +258,8 @@ function Maintenance(props: { node: Node; order: Order; busy: boolean }) {
   const { node, order, busy } = props;
   const [from, setFrom] = useState("");
   const [to, setTo] = useState("");
+  const start = timestampOf(from);
+  const end = timestampOf(to);
   const spans = node.terms?.maintenance ?? [];
   const set = (maintenance: typeof spans) => order({ terms: { ...NO_TERMS, ...node.terms, maintenance } });
   return (
@@ -277,14 +275,9 @@ function Maintenance(props: { node: Node; order: Order; busy: boolean }) {
             ) : (
               "without end"
             )}{" "}
-            <button
-              type="button"
-              class="plain"
-              disabled={busy}
-              onClick={() => void set(spans.filter((one) => one !== span))}
-            >
+            <Act class="plain" busy={busy} press={() => void set(spans.filter((one) => one !== span))}>
               Remove
-            </button>
+            </Act>
           </li>
         ))}
       </ul>
@@ -292,36 +285,15 @@ function Maintenance(props: { node: Node; order: Order; busy: boolean }) {
         class="inline-form"
         onSubmit={(event) => {
           event.preventDefault();
-          void set([
-            ...spans,
-            { start: new Date(from).toISOString(), end: to ? new Date(to).toISOString() : null },
-          ]).then(() => (setFrom(""), setTo("")));
+          if (start === null || (to !== "" && end === null)) return;
+          void set([...spans, { start, end }]).then((done) => done && (setFrom(""), setTo("")));
         }}
       >
-        <Field label={`Maintenance from (${timeZone})`}>
-          {(id) => (
-            <input
-              id={id}
-              type="datetime-local"
-              required
-              value={from}
-              onInput={(event) => setFrom(event.currentTarget.value)}
-            />
-          )}
-        </Field>
-        <Field label="to (empty: without end)">
-          {(id) => (
-            <input
-              id={id}
-              type="datetime-local"
-              value={to}
-              onInput={(event) => setTo(event.currentTarget.value)}
-            />
-          )}
-        </Field>
-        <button type="submit" disabled={busy || from === ""}>
+        <Moment label="Maintenance from" required value={from} change={setFrom} />
+        <Moment label="to (empty: without end)" zoned={false} value={to} change={setTo} />
+        <Act type="submit" busy={busy || from === ""}>
           Add
-        </button>
+        </Act>
       </form>
     </>
   );

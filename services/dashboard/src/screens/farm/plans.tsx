@@ -3,7 +3,7 @@
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { get } from "../../api/client";
 import type { PlanDifference } from "../../api/types";
-import { now } from "../../state/farm";
+import { now } from "../../state/now";
 import { param, setQuery } from "../../state/route";
 import { clockTime, counted, sentence, told } from "../../ui/format";
 import { Trouble, Waiting } from "../../ui/parts";
@@ -148,7 +148,7 @@ function PlanWords(props: { words: string[] }) {
   const rest = props.words.slice(FIRST).map(told);
   return (
     <div class="plan-words">
-      <p>{sentence(props.words.slice(0, FIRST).join("; "))}</p>
+      <p>{sentence(props.words.slice(0, FIRST).join("; "), true)}</p>
       {rest.length > 0 && (
         <details>
           <summary>{counted(rest.length, "more change")}</summary>

@@ -3,6 +3,7 @@
 import { useState } from "preact/hooks";
 import type { Node } from "../../api/types";
 import { timeZone } from "../../ui/format";
+import { Act } from "../../ui/parts";
 
 type Calendar = NonNullable<Node["schedule"]>;
 type Window = Calendar["windows"][number];
@@ -63,9 +64,9 @@ export function Schedule(props: {
         No day chosen means every day. Times are those of {zone}. A window may end on the next day.
       </p>
       <div class="buttons">
-        <button type="submit" class="primary" disabled={props.busy}>
+        <Act type="submit" class="primary" busy={props.busy}>
           Set the schedule
-        </button>
+        </Act>
         <button
           type="button"
           onClick={() => setWindows([...windows, { days: [], from: "00:00", until: "00:00" }])}
@@ -73,9 +74,9 @@ export function Schedule(props: {
           Add a window
         </button>
         {props.isSet && (
-          <button type="button" disabled={props.busy} onClick={() => void props.save(null)}>
+          <Act busy={props.busy} press={() => void props.save(null)}>
             What the node says
-          </button>
+          </Act>
         )}
         <button type="button" onClick={props.close}>
           Leave it

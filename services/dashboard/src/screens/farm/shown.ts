@@ -1,7 +1,8 @@
 // The time that the farm's chart shows, and how it is in the address.
 
 import { useCallback, useEffect, useRef, useState } from "preact/hooks";
-import { farm, now } from "../../state/farm";
+import { farm } from "../../state/farm";
+import { now } from "../../state/now";
 import { param, setQuery } from "../../state/route";
 import type { Stretch } from "./timeline";
 import { showing, type Spot, spotFrom } from "./walk";

@@ -21,15 +21,17 @@ export function Band(props: {
   );
   const few = numbers.length < 90;
   const many = numbers.length > 1500;
+  const alone = numbers.length === 1;
   const options = () => {
-    const band = quantileBand(many ? 1 : 2);
+    const band = quantileBand(many ? 1 : 2, alone);
     return {
       padding: [8, MARGINS.right, 0, 0] as [number, number, number, number],
       scales: {
         // Each frame has the width of its cell in the strip.
         x: {
           time: false,
-          range: (_: uPlot, least: number, most: number): [number, number] => [least - 0.5, most + 0.5],
+          range: (_: uPlot, least: number, most: number): [number, number] =>
+            alone ? [-0.5, 0.5] : [least - 0.5, most + 0.5],
         },
         y: { range: (_: uPlot, __: number, most: number): [number, number] => [0, most * 1.06 || 1] },
       },
@@ -67,7 +69,7 @@ export function Band(props: {
         height={180}
         data={data}
         options={options}
-        shape={`${quantity}-${few}`}
+        shape={`${quantity}-${few}-${alone}`}
         hover={props.hover}
       />
       <p class="note">

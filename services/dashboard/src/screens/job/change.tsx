@@ -3,9 +3,10 @@
 import { useState } from "preact/hooks";
 import { cancelJob, changeJob } from "../../actions/jobs";
 import { get } from "../../api/client";
-import type { AnswersDoc, Confidence, Job } from "../../api/types";
+import type { AnswersDoc, Job, JobChange } from "../../api/types";
 import { Confirm } from "../../ui/dialog";
-import { clean, moneyField, parseMoney, timeZone } from "../../ui/format";
+import { clean, clockTime, counted, grouped, money, moneyField, parseMoney } from "../../ui/format";
+import { localText, Moment, timestampOf } from "../../ui/moment";
 import { Choice, Field, Prose, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { Outlook } from "./price";
@@ -16,52 +17,53 @@ export const CONFIDENCES = [
   ["p95", "P95: 19 in 20"],
 ] as const;
 
-/** The text of a `datetime-local` field, in the viewer's zone. */
-export function localText(at: number): string {
-  const local = new Date(at - new Date(at).getTimezoneOffset() * 60_000);
-  return local.toISOString().slice(0, 16);
+/** The terms of a job, as the fields show them. */
+function termsOf(job: Job) {
+  return {
+    deadline: job.deadline ? localText(Date.parse(job.deadline)) : "",
+    budget: job.budget == null ? "" : moneyField(job.budget),
+    confidence: job.confidence,
+  };
 }
+
+type Terms = ReturnType<typeof termsOf>;
 
 export function ChangeDialog(props: { job: Job; changed: () => void; close: () => void }) {
   const { job } = props;
-  const before = {
-    deadline: job.deadline ? localText(Date.parse(job.deadline)) : "",
-    budget: job.budget == null ? "" : moneyField(job.budget),
-  };
-  const [deadline, setDeadline] = useState(before.deadline);
-  const [budget, setBudget] = useState(before.budget);
-  const [confidence, setConfidence] = useState<Confidence>(job.confidence);
+  const [before] = useState(() => termsOf(job));
+  // What nobody wrote in stays what the job has, also when somebody else changes that meanwhile.
+  const [written, setWritten] = useState<Partial<Terms>>({});
+  const present = termsOf(job);
+  const { deadline, budget, confidence } = { ...present, ...written };
+  const write = (part: Partial<Terms>) => setWritten((old) => ({ ...old, ...part }));
   const micros = budget.trim() === "" ? null : parseMoney(budget);
   const wrong = budget.trim() !== "" && micros === null;
-  const until = deadline === "" ? null : new Date(deadline).toISOString();
-  const same = deadline === before.deadline && budget === before.budget && confidence === job.confidence;
+  const until = deadline === present.deadline ? (job.deadline ?? null) : timestampOf(deadline);
+  const isNoTime = deadline !== "" && until === null;
+  const change: JobChange = {
+    ...(deadline === present.deadline ? {} : { deadline: until }),
+    ...(budget === present.budget ? {} : { budget: micros }),
+    ...(confidence === present.confidence ? {} : { confidence }),
+  };
   return (
     <Confirm
       title={`Change ${clean(job.name)}`}
       act="Change and plan anew"
-      ready={!wrong && !same}
+      ready={!wrong && !isNoTime && Object.keys(change).length > 0}
       wide
       close={props.close}
       run={async () => {
-        await changeJob(job.id, {
-          ...(deadline === before.deadline ? {} : { deadline: until }),
-          ...(budget === before.budget ? {} : { budget: micros }),
-          ...(confidence === job.confidence ? {} : { confidence }),
-        });
+        await changeJob(job.id, change);
         props.changed();
       }}
     >
       <div class="columns">
-        <Field label={`Deadline (${timeZone})`} hint="Empty: no deadline.">
-          {(id) => (
-            <input
-              id={id}
-              type="datetime-local"
-              value={deadline}
-              onInput={(event) => setDeadline(event.currentTarget.value)}
-            />
-          )}
-        </Field>
+        <Moment
+          label="Deadline"
+          hint="Empty: no deadline."
+          value={deadline}
+          change={(text) => write({ deadline: text })}
+        />
         <Field
           label="Budget"
           hint="Empty: no budget."
@@ -72,15 +74,38 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
               id={id}
               inputMode="decimal"
               value={budget}
-              onInput={(event) => setBudget(event.currentTarget.value)}
+              onInput={(event) => write({ budget: event.currentTarget.value })}
             />
           )}
         </Field>
       </div>
-      <Choice label="Confidence" value={confidence} options={CONFIDENCES} choose={setConfidence} />
+      <Choice
+        label="Confidence"
+        value={confidence}
+        options={CONFIDENCES}
+        choose={(value) => write({ confidence: value })}
+      />
+      <Meanwhile job={job} before={before} present={present} />
       <h3>What that would mean</h3>
-      <Meaning job={job} deadline={until} budget={micros} wrong={wrong} />
+      <Meaning job={job} deadline={until} budget={micros} wrong={wrong || isNoTime} />
     </Confirm>
+  );
+}
+
+/** What somebody else changed since the question was opened. */
+function Meanwhile(props: { job: Job; before: Terms; present: Terms }) {
+  const { job, before, present } = props;
+  const said = [
+    before.deadline !== present.deadline &&
+      `its deadline is ${job.deadline ? clockTime(Date.parse(job.deadline)) : "none"}`,
+    before.budget !== present.budget && `its budget is ${job.budget == null ? "none" : money(job.budget)}`,
+    before.confidence !== present.confidence && `its confidence is ${job.confidence.toUpperCase()}`,
+  ].filter((line) => line !== false);
+  return (
+    <p role="status" class={said.length > 0 ? "tone-warn" : "unseen"}>
+      {said.length > 0 &&
+        `Somebody changed the job meanwhile: ${said.join(", ")}. Only what you write here is changed.`}
+    </p>
   );
 }
 
@@ -134,6 +159,7 @@ function Meaning(props: { job: Job; deadline: string | null; budget: number | nu
 
 export function CancelDialog(props: { job: Job; changed: () => void; close: () => void }) {
   const { job } = props;
+  const left = job.frames_total - job.frames_done - (job.frames_cancelled ?? 0);
   return (
     <Confirm
       title={`Cancel ${clean(job.name)}?`}
@@ -146,8 +172,8 @@ export function CancelDialog(props: { job: Job; changed: () => void; close: () =
       }}
     >
       <p>
-        {job.frames_total - job.frames_done - (job.frames_cancelled ?? 0)} of {job.frames_total} frames are
-        left. Running ones are stopped. Finished images stay.
+        {grouped(left)} of {counted(job.frames_total, "frame")} {left === 1 ? "is" : "are"} left. Running ones
+        are stopped. Finished images stay.
       </p>
     </Confirm>
   );

@@ -7,6 +7,7 @@ import { numbersOf, numbersText, useAddressed } from "../../state/addressed";
 import { clean, percent, significant } from "../../ui/format";
 import { type Resource, useResource, useWidth } from "../../ui/resource";
 import { crossed, type Pixel, placeOf } from "./crosshair";
+import { Picture } from "./picture";
 import { type Pixels, readPixels, type Shown } from "./pixels";
 import { useZoom, type View, type Zoom } from "./zoom";
 
@@ -27,8 +28,12 @@ interface Compared {
   right: LayerName;
 }
 
-export function Compare(props: Compared) {
-  const { job, row, left, right } = props;
+export function Compare(asked: Compared) {
+  const { job, row } = asked;
+  // Before a frame is rendered, its ID preview is all that there is.
+  const isEarly = !exists(row, asked.left) && !exists(row, asked.right) && exists(row, "preview");
+  const props: Compared = isEarly ? { ...asked, left: "preview", right: "preview" } : asked;
+  const { left, right } = props;
   const [wipe, setWipe] = useAddressed("wipe");
   const split = Math.min(100, Math.max(0, numbersOf(wipe, 1)?.[0] ?? 50));
   const [size, setSize] = useState<[number, number] | null>(null);
@@ -89,6 +94,7 @@ export function Compare(props: Compared) {
         <span class="divider" style={{ left: `${split}%` }} />
         {cross && <Cross at={placeOf(cross, view)} />}
       </div>
+      {isEarly && <p class="note">Frame {row.frame} is not rendered yet. This is its ID preview.</p>}
       <Wipe split={split} set={setWipe} />
       <div class="filters">
         <Zooming zoom={zoom} />
@@ -159,8 +165,11 @@ function Layers(
     <>
       {layers.map(([layer, place]) =>
         exists(row, layer) ? (
-          <img
+          <Picture
             key={place + layer}
+            lost={
+              <p class={`missing ${place === "over" ? "left" : "right"}`}>This image could not be loaded.</p>
+            }
             src={source(job.id, row, layer)}
             alt={`${LAYERS.find(([name]) => name === layer)![1]} of frame ${row.frame}`}
             class={view.scale >= 2 ? "pixelated" : ""}

@@ -3,7 +3,7 @@
 import { useMemo, useState } from "preact/hooks";
 import type { FrameStrip as StripDoc, Job } from "../../api/types";
 import { param, setQuery } from "../../state/route";
-import { cpuTime, money, signedPercent, work } from "../../ui/format";
+import { cpuTime, grouped, money, signedPercent, work } from "../../ui/format";
 import { parseFrames } from "../../ui/frames";
 import { Mark } from "../../ui/mark";
 import { Choice, Section, Trouble, Waiting } from "../../ui/parts";
@@ -66,8 +66,9 @@ export function Frames(props: {
         open={(at) => setQuery({ tab: "images", frame: String(numbers[at]) })}
         describe={describe}
       />
-      <p class="readout" aria-hidden="true">
-        {cursor === null ? <Legend ratio={ratios !== null} states={doc.states} /> : describe(cursor)}
+      <p class="readout">
+        <Legend ratio={ratios !== null} states={doc.states} select={selected.select} />{" "}
+        <span aria-hidden="true">{cursor === null ? "Double-click for images." : describe(cursor)}</span>
       </p>
       {forecast && <Band numbers={numbers} doc={doc} quantity={quantity} hover={setCursor} />}
       {strip.error && <Trouble error={strip.error} retry={strip.reload} />}
@@ -136,7 +137,8 @@ function describeCell(doc: StripDoc, numbers: number[], at: number, quantity: Qu
   return parts.join("; ");
 }
 
-function Legend(props: { ratio: boolean; states: string }) {
+/** What the cells mean. Those that failed can be selected by it. */
+function Legend(props: { ratio: boolean; states: string; select: (places: Set<number>) => void }) {
   if (props.ratio) {
     return (
       <>
@@ -146,18 +148,35 @@ function Legend(props: { ratio: boolean; states: string }) {
       </>
     );
   }
-  const counts = new Map<string, number>();
-  for (const letter of props.states) counts.set(letter, (counts.get(letter) ?? 0) + 1);
+  const places = new Map<string, number[]>();
+  for (const [at, letter] of [...props.states].entries()) {
+    const these = places.get(letter);
+    if (these) these.push(at);
+    else places.set(letter, [at]);
+  }
   return (
     <>
-      {Object.entries(STATES).map(([letter, word]) =>
-        counts.has(letter) ? (
+      {Object.entries(STATES).map(([letter, word]) => {
+        const these = places.get(letter);
+        if (!these) return null;
+        const mark = <Mark of={word} word={`${grouped(these.length)} ${word}`} />;
+        return (
           <span class="legend" key={letter}>
-            <Mark of={word} word={`${counts.get(letter)} ${word}`} />
+            {letter === "f" ? (
+              <button
+                type="button"
+                class="plain"
+                title="Select them"
+                onClick={() => props.select(new Set(these))}
+              >
+                {mark}
+              </button>
+            ) : (
+              mark
+            )}
           </span>
-        ) : null,
-      )}
-      Double-click for images.
+        );
+      })}
     </>
   );
 }

@@ -2,6 +2,8 @@
 
 import { useState } from "preact/hooks";
 import type { Job } from "../../api/types";
+import { isOver, neverEnds } from "../../state/news";
+import { now } from "../../state/now";
 import { href } from "../../state/route";
 import { maySubmitTo } from "../../state/session";
 import { slackWords } from "../../ui/fan";
@@ -11,13 +13,10 @@ import { Money, Prose, Time } from "../../ui/parts";
 import { RescueDialog } from "../tonight/rescue";
 import { CancelDialog, ChangeDialog } from "./change";
 
-/** States of a job that is over. */
-export const OVER = ["done", "failed", "cancelled"];
-
 export function JobHead(props: { job: Job; changed: () => void }) {
   const { job } = props;
   const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | null>(null);
-  const over = OVER.includes(job.state);
+  const over = isOver(job.state);
   const close = () => setAsked(null);
   return (
     <header class="job-top">
@@ -34,6 +33,11 @@ export function JobHead(props: { job: Job; changed: () => void }) {
             {job.state === "quoted" && (
               <a class="button primary" href={href(["submit"], { job: job.id })}>
                 Look at the quote
+              </a>
+            )}
+            {neverEnds(job.state) && (
+              <a class="button" href={href(["submit"], { again: job.id })}>
+                Submit again…
               </a>
             )}
             {!over && (
@@ -123,7 +127,7 @@ function Progress(props: { job: Job }) {
 
 function JobFacts(props: { job: Job }) {
   const { job } = props;
-  const over = OVER.includes(job.state);
+  const over = isOver(job.state);
   const eta = maybeInstant(job.finished_at ?? job.eta);
   const deadline = maybeInstant(job.deadline);
   const cost = job.live?.cost;
@@ -141,7 +145,7 @@ function JobFacts(props: { job: Job }) {
         <dt>{over ? "Ended" : "Ready by"}</dt>
         <dd>
           <Time at={eta} none={over ? "–" : "not known yet"} />{" "}
-          <span class="muted">{slackWords(eta, deadline)}</span>
+          {!neverEnds(job.state) && <span class="muted">{slackWords(eta, deadline)}</span>}
         </dd>
       </div>
       <div>
@@ -176,7 +180,11 @@ function JobFacts(props: { job: Job }) {
           <dt>CPU time, quoted P50 and P80</dt>
           <dd>
             {cpuTime(cpu.quote.p50)}, {cpuTime(cpu.quote.p80)}
-            {over && <span class="muted">; it took {cpuTime(cpu.spent)}</span>}
+            {over && job.frames_done > 0 && (
+              <span class="muted">
+                ; {neverEnds(job.state) ? "its finished frames took" : "it took"} {cpuTime(cpu.spent)}
+              </span>
+            )}
           </dd>
         </div>
       )}
@@ -188,9 +196,20 @@ function JobFacts(props: { job: Job }) {
   );
 }
 
-/** Whether it will be ready in time: as promised, or else as planned. */
+/** Whether it will be ready in time, or was: as promised, or else as planned. */
 function Outcome(props: { job: Job; over: boolean }) {
-  const { promise, verdict } = props.job;
+  const { deadline, finished_at, promise, state, verdict } = props.job;
+  if (state === "cancelled") return null;
+  if (state === "failed") {
+    if (!deadline) return null;
+    const isAhead = Date.parse(deadline) > now.value;
+    return (
+      <div>
+        <dt>{promise ? "Promise" : "In time"}</dt>
+        <dd>{isAhead ? <Mark of="risk" /> : <Mark of="missed" />}</dd>
+      </div>
+    );
+  }
   const probability = props.over ? null : (props.job.probability ?? promise?.probability ?? null);
   const sure = probability !== null && <span class="muted"> in time with {percent(probability)}</span>;
   if (promise)
@@ -198,7 +217,13 @@ function Outcome(props: { job: Job; over: boolean }) {
       <div>
         <dt>Promise</dt>
         <dd>
-          {promise.kept ? <Mark of="kept" /> : <Mark of="risk" />}
+          <Mark
+            of={promiseWord(
+              promise.kept,
+              props.over ? maybeInstant(finished_at) : null,
+              maybeInstant(deadline),
+            )}
+          />
           {sure}
         </dd>
       </div>
@@ -213,4 +238,10 @@ function Outcome(props: { job: Job; over: boolean }) {
       </dd>
     </div>
   );
+}
+
+/** Of a job that is done, its end says whether the promise was kept; before that, its plan does. */
+function promiseWord(isPlanned: boolean, end: number | null, deadline: number | null): string {
+  if (end !== null && deadline !== null) return end <= deadline ? "kept" : "missed";
+  return isPlanned ? "kept" : "risk";
 }

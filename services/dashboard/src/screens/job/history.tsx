@@ -40,6 +40,7 @@ function Course(props: { of: ForecastHistory }) {
     [points],
   );
   const { quote, whole, factor } = doc.now.cpu_seconds;
+  const alone = points.length === 1;
   return (
     <>
       <p>
@@ -56,8 +57,8 @@ function Course(props: { of: ForecastHistory }) {
         label="Expected CPU time of the whole job over time: P50 to P95, what is spent, and what is booked. The table below has the numbers."
         height={240}
         data={data}
-        options={options}
-        shape="history"
+        options={() => options(alone)}
+        shape={`history-${alone}`}
       />
       <p class="note">
         <span class="swatch p50" /> P50 <span class="swatch p80" /> to P80 <span class="swatch p95" /> to P95
@@ -91,8 +92,8 @@ function pointsOf(doc: ForecastHistory) {
   ];
 }
 
-function options() {
-  const band = quantileBand(2);
+function options(alone: boolean) {
+  const band = quantileBand(2, alone);
   return {
     legend: { show: false },
     cursor: { y: false },
@@ -101,8 +102,8 @@ function options() {
     series: [
       {},
       ...band.series,
-      { stroke: colour("good"), width: 1.5, fill: colour("sunk"), points: { show: false } },
-      { stroke: colour("text"), width: 1, dash: [5, 4], points: { show: false } },
+      { stroke: colour("good"), width: 1.5, fill: colour("sunk"), points: { show: alone } },
+      { stroke: colour("text"), width: 1, dash: [5, 4], points: { show: alone } },
     ],
   };
 }

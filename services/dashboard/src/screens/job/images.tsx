@@ -9,6 +9,7 @@ import { isTyping } from "../../ui/keys";
 import { Choice, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { Compare, type LayerName, LAYERS } from "./compare";
+import { Picture } from "./picture";
 
 export function Images(props: { job: Job; strip: FrameStrip | null }) {
   const { job, strip } = props;
@@ -23,6 +24,8 @@ export function Images(props: { job: Job; strip: FrameStrip | null }) {
     (signal) =>
       numbers.length ? get("/v1/jobs/{id}/frames/{frame}", { path: { id: job.id, frame }, signal }) : null,
     [job.id, frame, state],
+    // Previews are made while all frames wait.
+    job.state,
   );
   const step = (by: number) => {
     const next = numbers[Math.min(numbers.length - 1, Math.max(0, at + by))];
@@ -100,7 +103,8 @@ function Thumbnails(props: { job: Job; numbers: number[]; states: string; frame:
             onClick={() => setQuery({ frame: String(frame) })}
           >
             {state === "d" ? (
-              <img
+              <Picture
+                lost={<span class="no-image" />}
                 src={`/v1/jobs/${props.job.id}/frames/${frame}/image.png`}
                 alt=""
                 loading="lazy"

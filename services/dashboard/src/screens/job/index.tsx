@@ -4,14 +4,14 @@ import { useEffect, useState } from "preact/hooks";
 import { get } from "../../api/client";
 import type { AnswersDoc, Job, FrameStrip } from "../../api/types";
 import { onEvents } from "../../state/live";
-import { isNews, jobAfter } from "../../state/news";
+import { isNews, isOver, jobAfter } from "../../state/news";
 import { href, param, route, setQuery } from "../../state/route";
 import { titled } from "../../state/tab";
 import { clean } from "../../ui/format";
 import { Trouble, Waiting } from "../../ui/parts";
 import { useResource, useThrottled } from "../../ui/resource";
 import { Frames, QUANTITIES } from "./frames";
-import { JobHead, OVER } from "./head";
+import { JobHead } from "./head";
 import { History } from "./history";
 import { Images } from "./images";
 import { Ladders } from "./ladders";
@@ -105,7 +105,7 @@ function useNews(asked: Job | null): Job | null {
 function Tabs(props: { job: Job; strip: FrameStrip | null; changed: () => void }) {
   const { job, strip } = props;
   const tab = TABS.find(([name]) => name === param("tab"))?.[0] ?? "images";
-  const over = OVER.includes(job.state);
+  const over = isOver(job.state);
   // The planner answers while there is something to plan; what was quoted is asked again when the job moves on.
   const version = `${job.state}-${job.plan_id ?? ""}`;
   const asks = (tab === "price" || tab === "ladders") && ANSWERED.includes(job.state);

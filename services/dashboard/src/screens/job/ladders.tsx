@@ -216,10 +216,8 @@ function SubmitRung(props: { job: Job; rung: AccuracyRung; close: () => void }) 
       title={`Submit ${rungName(rung)} as a new job?`}
       act="Get its quote"
       close={props.close}
-      run={async () => {
-        const made = await submitAgain(job, rung.settings, { hold: true });
-        go(["submit"], { job: made.id, ...(replace ? { replaces: job.id } : {}) });
-      }}
+      run={() => submitAgain(job, rung.settings, { hold: true })}
+      next={(made) => go(["submit"], { job: made.id, ...(replace ? { replaces: job.id } : {}) })}
     >
       <p>
         The same frames, deadline and budget, with this quality: about {cpuTime(rung.cpu_seconds.p50)} of CPU

@@ -9,6 +9,8 @@ import type { Resource } from "../../ui/resource";
 const LETTER: Partial<Record<Event["kind"], string>> = {
   task_leased: "r",
   task_done: "d",
+  // Whether it is tried again, the service says a little later.
+  task_failed: "b",
   result_refused: "b",
   lease_expired: "b",
   lease_released: "b",

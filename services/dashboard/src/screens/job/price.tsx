@@ -108,7 +108,7 @@ function Effects(props: { effects: PlanEffect[] }) {
     <ul class="sentences">
       {props.effects.map((effect) => (
         <li key={effect.words}>
-          <Prose text={effect.words} />{" "}
+          <Prose text={effect.words} named />{" "}
           {effect.in_time ? <Mark of="on_time" word="in time" /> : <Mark of="late" />}
           {effect.moved.length > 0 && (
             <span class="muted"> Moves {counted(effect.moved.length, "other job")}.</span>

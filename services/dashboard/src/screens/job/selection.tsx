@@ -3,6 +3,7 @@
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { post } from "../../api/client";
 import type { FrameStrip as StripDoc, Job } from "../../api/types";
+import { isOver } from "../../state/news";
 import { param, setQuery } from "../../state/route";
 import { maySubmitTo } from "../../state/session";
 import { Confirm } from "../../ui/dialog";
@@ -29,11 +30,18 @@ export function useSelection(numbers: number[]): Selected {
     return out;
   }, [text, numbers]);
   const write = (next: string) => setQuery({ sel: next });
-  return { indices, text, write, select: (next) => write(formatFrames([...next].map((at) => numbers[at]!))) };
+  return { indices, text, write, select: (next) => write(framesAt(numbers, next)) };
 }
 
 /** States of frames that are not over: waiting, booked, running. */
 const OPEN = "wbr";
+
+/** Whether frames of a job can be rendered again: none of a cancelled one, nor of one that was never booked. */
+const canRetry = (job: Job) => job.state !== "cancelled" && (job.state !== "failed" || job.plan_id != null);
+
+/** The frames at these places, as text for people and for the API. */
+const framesAt = (numbers: number[], places: Iterable<number>) =>
+  formatFrames(Array.from(places, (at) => numbers[at]!));
 
 /** Places of the selected frames that are in one of these states. */
 function placesIn(doc: StripDoc, selected: Selected, states: string): number[] {
@@ -85,12 +93,16 @@ export function Selection(props: Asked) {
       </span>
       {count > 0 && maySubmitTo(job.project) && (
         <>
-          <button type="button" disabled={count === open.length} onClick={() => setAsked("retry")}>
-            Retry…
-          </button>
-          <button type="button" disabled={open.length === 0} onClick={() => setAsked("cancel")}>
-            Cancel frames…
-          </button>
+          {canRetry(job) && (
+            <button type="button" disabled={count === open.length} onClick={() => setAsked("retry")}>
+              Retry…
+            </button>
+          )}
+          {!isOver(job.state) && (
+            <button type="button" disabled={open.length === 0} onClick={() => setAsked("cancel")}>
+              Cancel frames…
+            </button>
+          )}
         </>
       )}
       {count > 0 && (
@@ -116,25 +128,36 @@ export function Selection(props: Asked) {
 }
 
 function RetryDialog(props: Asked & { close: () => void }) {
-  const { job, doc, selected } = props;
+  const { job, doc, numbers, selected } = props;
   const count = selected.indices.size;
+  const frames = framesAt(numbers, selected.indices);
   const done = placesIn(doc, selected, "d").length;
+  const stopped = job.state === "failed" ? stoppedBeside(job, doc, selected) : 0;
   return (
     <Confirm
       title={`Render ${counted(count, "frame")} again?`}
       act="Retry"
       close={props.close}
       run={async () => {
-        await post("/v1/jobs/{id}/frames/retry", { path: { id: job.id }, body: { frames: selected.text } });
+        await post("/v1/jobs/{id}/frames/retry", { path: { id: job.id }, body: { frames } });
         props.changed();
       }}
     >
       <p>
-        {count === 1 ? `Frame ${selected.text} is` : `Frames ${selected.text} are`} booked and rendered again.{" "}
-        {done > 0 && `${counted(done, "image")} will be replaced.`} It costs about as much as before.
+        {count === 1 ? `Frame ${frames}` : `Frames ${frames}`}
+        {stopped > 0 && ` and the ${counted(stopped, "frame")} that stopped with the job`}{" "}
+        {count + stopped === 1 ? "is" : "are"} booked and rendered again.{" "}
+        {done > 0 && `${counted(done, "image")} will be replaced. `}
+        {stopped === 0 && "It costs about as much as before."}
       </p>
     </Confirm>
   );
+}
+
+/** Number of frames beside the selected ones that a job left when it failed: all but those taken out of it. */
+function stoppedBeside(job: Job, doc: StripDoc, selected: Selected): number {
+  const left = [...doc.states].filter((letter) => letter !== "d").length - (job.frames_cancelled ?? 0);
+  return Math.max(0, left - placesIn(doc, selected, "wbrfc").length);
 }
 
 function CancelDialog(props: Asked & { close: () => void }) {
@@ -147,7 +170,7 @@ function CancelDialog(props: Asked & { close: () => void }) {
       danger
       close={props.close}
       run={async () => {
-        const frames = formatFrames(open.map((at) => numbers[at]!));
+        const frames = framesAt(numbers, open);
         await post("/v1/jobs/{id}/frames/cancel", { path: { id: job.id }, body: { frames } });
         props.changed();
       }}

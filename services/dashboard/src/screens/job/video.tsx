@@ -4,12 +4,12 @@ import { useEffect, useState } from "preact/hooks";
 import { put, remove } from "../../api/client";
 import type { Job } from "../../api/types";
 import { onEvents } from "../../state/live";
+import { isOver } from "../../state/news";
 import { maySubmitTo } from "../../state/session";
 import { bytes, counted } from "../../ui/format";
 import { Confirm } from "../../ui/dialog";
 import { Field, Prose } from "../../ui/parts";
 import { useThrottled } from "../../ui/resource";
-import { OVER } from "./head";
 
 type Asked = "make" | "delete" | null;
 
@@ -116,7 +116,7 @@ function State(props: { job: Job }) {
     default:
       return (
         <p class="note">
-          {OVER.includes(job.state)
+          {isOver(job.state)
             ? "The job ended without it."
             : `It is made when the last frame is finished, at ${rate}.`}
         </p>

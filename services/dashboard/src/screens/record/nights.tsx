@@ -1,7 +1,7 @@
 // The forecast of the nights to come beside what the nights before really cost.
 
 import type { BudgetForecast } from "../../api/types";
-import { dayName, money, percent } from "../../ui/format";
+import { counted, dayName, money, percent } from "../../ui/format";
 import { Money, Prose, Section, TableBehind, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { Bar, forecastNights } from "../tonight/spend";
@@ -79,5 +79,6 @@ function recordWords(record: BudgetForecast["track_record"]): string {
   const [p50, p80, p95] = [record.within_p50, record.within_p80, record.within_p95].map((nights) =>
     percent(nights / record.nights),
   );
-  return `Of ${record.nights} nights that were forecast before they began, ${p50} cost at most P50, ${p80} at most P80, ${p95} at most P95.`;
+  const [were, they] = record.nights === 1 ? ["was", "it"] : ["were", "they"];
+  return `Of ${counted(record.nights, "night")} that ${were} forecast before ${they} began, ${p50} cost at most P50, ${p80} at most P80, ${p95} at most P95.`;
 }

@@ -1,12 +1,14 @@
 // Who did what, when, and from where: newest first.
 
-import { useCallback } from "preact/hooks";
+import { useCallback, useMemo } from "preact/hooks";
 import { get } from "../../api/client";
 import type { Schemas } from "../../api/client";
-import { param, setQuery } from "../../state/route";
-import { clean, words } from "../../ui/format";
+import { farm } from "../../state/farm";
+import { href, param, setQuery } from "../../state/route";
+import { clean, money, told, words } from "../../ui/format";
 import { PAGE, usePages } from "../../ui/pages";
 import { Section, Time, Trouble, Waiting } from "../../ui/parts";
+import { useResource } from "../../ui/resource";
 import { VirtualTable } from "../../ui/virtual";
 
 type Entry = Schemas["AuditEntry"];
@@ -64,6 +66,9 @@ export function Audit() {
     [who, about, action],
   );
   const entries = usePages(ask, () => null);
+  const open = param("entry");
+  const lines = useMemo(() => linesOf(entries.items, open), [entries.items, open]);
+  const names = useNames(entries.items);
   return (
     <Section title="Audit" aside={<Filters who={who} about={about} action={action} again={entries.again} />}>
       {entries.error && <Trouble error={entries.error} retry={entries.again} />}
@@ -80,15 +85,21 @@ export function Audit() {
           table="set-table audit"
           line="set-row"
           head="set-head"
-          columns={["When", "Who", "From", "Did", "With", "Project"]}
-          items={entries.items}
+          columns={["When", "Did", "With", "Who", "From", "Project"]}
+          items={lines}
           height={32}
           seen={entries.see}
-          row={(entry) => <Row entry={entry} />}
-          keyOf={(entry) => String(entry.id)}
+          row={(line) =>
+            line.detail ? (
+              <DetailRow detail={line.detail} />
+            ) : (
+              <Row entry={line.entry} names={names} isOpen={String(line.entry.id) === open} />
+            )
+          }
+          keyOf={({ entry, detail }) => `${entry.id} ${detail?.name ?? ""}`}
         />
       )}
-      <p class="note">Entries never change. Point at what was done to see what was asked for.</p>
+      <p class="note">Entries never change. Press what was done to see what was asked for.</p>
     </Section>
   );
 }
@@ -135,25 +146,110 @@ function Filters(props: { who: string; about: string; action: Action | ""; again
   );
 }
 
-function Row(props: { entry: Entry }) {
-  const { entry } = props;
-  const detail = entry.detail ? clean(JSON.stringify(entry.detail)) : undefined;
+interface Detail {
+  name: string;
+  value: string;
+}
+
+/** A line of the table: an entry, or a part of what was asked for in the one that is open. */
+interface Line {
+  entry: Entry;
+  detail: Detail | null;
+}
+
+function linesOf(entries: readonly Entry[], open: string | null): Line[] {
+  return entries.flatMap((entry) => [
+    { entry, detail: null },
+    ...(String(entry.id) === open ? detailsOf(entry).map((detail) => ({ entry, detail })) : []),
+  ]);
+}
+
+const AMOUNTS = ["amount", "budget", "price_per_hour"];
+
+function detailsOf(entry: Entry): Detail[] {
+  return Object.entries(entry.detail ?? {}).map(([name, value]: [string, unknown]) => ({
+    name: words(name),
+    value:
+      typeof value === "string"
+        ? told(value)
+        : typeof value === "number" && AMOUNTS.includes(name)
+          ? money(value)
+          : clean(JSON.stringify(value)),
+  }));
+}
+
+/** Names of jobs, nodes and others by their ids, as far as the page knows them. */
+function useNames(entries: readonly Entry[]): ReadonlyMap<string, string> {
+  const jobs = useResource((signal) => get("/v1/jobs", { query: { page_size: PAGE }, signal }), []);
+  const doc = farm.value;
+  return useMemo(() => {
+    const names = new Map<string, string>();
+    for (const { target, detail } of entries) {
+      const { name } = (detail ?? {}) as { name?: unknown };
+      if (typeof name === "string") names.set(target, name);
+    }
+    for (const one of [...(jobs.data?.items ?? []), ...(doc?.jobs ?? []), ...(doc?.nodes ?? [])])
+      names.set(one.id, one.name);
+    return names;
+  }, [entries, jobs.data, doc?.jobs, doc?.nodes]);
+}
+
+/** The screen of what an action was done with, if there is one. */
+function placeOf({ action, target }: Entry): string | null {
+  if (action === "job_deleted" || action === "node_removed") return null;
+  if (/^(job|frames)_/.test(action)) return href(["jobs", target]);
+  if (action.startsWith("node_")) return href(["farm"], { view: "list", node: target });
+  if (/^(join_)?token_/.test(action)) return href(["settings"]);
+  if (action.startsWith("webhook_")) return href(["settings"], { part: "webhooks" });
+  if (action === "retention_set") return href(["settings"], { part: "kept" });
+  return null;
+}
+
+function Row(props: { entry: Entry; names: ReadonlyMap<string, string>; isOpen: boolean }) {
+  const { entry, names, isOpen } = props;
+  const name = names.get(entry.target);
+  const target = name === undefined ? <code>{clean(entry.target)}</code> : clean(name);
+  const place = placeOf(entry);
   return (
     <div role="row" class="set-row">
       <span role="cell">
         <Time at={entry.at} exact />
       </span>
+      <span role="cell">
+        {Object.keys(entry.detail ?? {}).length > 0 ? (
+          <button
+            type="button"
+            class="plain"
+            aria-expanded={isOpen}
+            onClick={() => setQuery({ entry: isOpen ? null : String(entry.id) })}
+          >
+            <span aria-hidden="true">{isOpen ? "▾" : "▸"} </span>
+            {words(entry.action)}
+          </button>
+        ) : (
+          words(entry.action)
+        )}
+      </span>
+      <span role="cell" title={clean(entry.target)}>
+        {place === null ? target : <a href={place}>{target}</a>}
+      </span>
       <span role="cell" class="name" title={clean(entry.actor)}>
         {clean(entry.actor)} {entry.role && <span class="muted">{entry.role}</span>}
       </span>
       <span role="cell">{entry.from ?? "–"}</span>
-      <span role="cell" title={detail}>
-        {words(entry.action)}
-      </span>
-      <span role="cell" title={clean(entry.target)}>
-        <code>{clean(entry.target)}</code>
-      </span>
       <span role="cell">{entry.project ? clean(entry.project) : "–"}</span>
+    </div>
+  );
+}
+
+/** A part of what was asked for. */
+function DetailRow(props: { detail: Detail }) {
+  const { name, value } = props.detail;
+  return (
+    <div role="row" class="set-row detail-row">
+      <span role="cell" aria-colspan={6} tabIndex={0}>
+        <span class="muted">{name}:</span> {value}
+      </span>
     </div>
   );
 }

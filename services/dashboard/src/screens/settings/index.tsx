@@ -44,7 +44,13 @@ export function SettingsScreen() {
           value={part}
           options={PARTS}
           choose={(name) =>
-            setQuery({ part: name === "tokens" ? null : name, who: null, action: null, about: null })
+            setQuery({
+              part: name === "tokens" ? null : name,
+              who: null,
+              action: null,
+              about: null,
+              entry: null,
+            })
           }
         />
       </div>

@@ -3,7 +3,7 @@
 import { useCallback, useState } from "preact/hooks";
 import { get, post, remove } from "../../api/client";
 import type { Schemas } from "../../api/client";
-import { now } from "../../state/farm";
+import { now } from "../../state/now";
 import { clean, words } from "../../ui/format";
 import { Confirm } from "../../ui/dialog";
 import { PAGE, usePages } from "../../ui/pages";

@@ -3,7 +3,7 @@
 import { requestOf as requestThatRepeats } from "../../actions/jobs";
 import type { Bundle, Confidence, Job, JobRequest } from "../../api/types";
 import { parseMoney } from "../../ui/format";
-import { localText } from "../job/change";
+import { localText, NOT_A_TIME, timestampOf } from "../../ui/moment";
 
 export interface Draft {
   name: string;
@@ -138,6 +138,8 @@ export function requestOf(
   if (draft.budget.trim() !== "" && budget === null) wrong.budget = "Write an amount such as 12.50.";
   const priority = draft.priority.trim() === "" ? 0 : Number(draft.priority);
   if (!Number.isInteger(priority)) wrong.priority = "Write a whole number.";
+  const deadline = draft.deadline === "" ? null : timestampOf(draft.deadline);
+  if (draft.deadline !== "" && deadline === null) wrong.deadline = NOT_A_TIME;
   const first: Partial<JobRequest> & Pick<JobRequest, "weight" | "samples"> = { weight: 1, samples: 256 };
   const { renderer: _, video, error_target, within, cache, ...kept } = base ?? first;
   const request: JobRequest = {
@@ -147,7 +149,7 @@ export function requestOf(
     bundle,
     frames: draft.frames.trim(),
     settings: settings as unknown as NonNullable<JobRequest["settings"]>,
-    deadline: draft.deadline === "" ? null : new Date(draft.deadline).toISOString(),
+    deadline,
     confidence: draft.confidence,
     budget,
     priority,

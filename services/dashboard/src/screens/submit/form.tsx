@@ -3,7 +3,7 @@
 import { useId } from "preact/hooks";
 import { get } from "../../api/client";
 import type { Bundle } from "../../api/types";
-import { timeZone } from "../../ui/format";
+import { Moment } from "../../ui/moment";
 import { Choice, Field } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 import { CONFIDENCES } from "../job/change";
@@ -193,20 +193,13 @@ function Terms(props: Asked) {
     <fieldset>
       <legend>When and how much</legend>
       <div class="columns">
-        <Field
-          label={`Deadline (${timeZone})`}
+        <Moment
+          label="Deadline"
           hint="Empty: when nodes are free."
           error={wrong.deadline ?? null}
-        >
-          {(id) => (
-            <input
-              id={id}
-              type="datetime-local"
-              value={draft.deadline}
-              onInput={(event) => change({ deadline: event.currentTarget.value })}
-            />
-          )}
-        </Field>
+          value={draft.deadline}
+          change={(deadline) => change({ deadline })}
+        />
         <Text
           {...props}
           name="budget"

@@ -9,7 +9,7 @@ import { maySubmit, session } from "../../state/session";
 import { titled } from "../../state/tab";
 import { bytes, clean, counted, percent } from "../../ui/format";
 import { Trouble, Waiting } from "../../ui/parts";
-import { asError } from "../../ui/resource";
+import { asError, useResource } from "../../ui/resource";
 import { droppedFiles, pack, pickedFiles, upload } from "./bundle";
 import { type Draft, draftFor, draftOf, fieldOf, requestOf, type Wrong } from "./draft";
 import { Fields } from "./form";
@@ -30,6 +30,7 @@ interface Wanted {
 export function SubmitScreen() {
   useEffect(() => titled("Submit"), []);
   const quoted = param("job");
+  const again = param("again");
   const [wanted, setWanted] = useState<Wanted | null>(null);
   if (!maySubmit.value) {
     return (
@@ -49,18 +50,14 @@ export function SubmitScreen() {
           id={quoted}
           key={quoted}
           edit={(job) => {
-            setWanted({
-              bundle: job.bundle,
-              scene: job.scene,
-              own: !job.renderer,
-              draft: draftOf(job),
-              instead: job.id,
-            });
+            setWanted({ ...wantedOf(job), instead: job.id });
             go(["submit"], { replaces: param("replaces") });
           }}
         />
       ) : wanted ? (
-        <Form wanted={wanted} back={() => setWanted(null)} change={setWanted} />
+        <Form wanted={wanted} back={() => (setWanted(null), go(["submit"]))} change={setWanted} />
+      ) : again ? (
+        <Again id={again} got={setWanted} />
       ) : (
         <Pick
           got={(bundle) =>
@@ -75,6 +72,34 @@ export function SubmitScreen() {
         />
       )}
     </div>
+  );
+}
+
+/** What was wanted of a job, to be changed and asked for once more. */
+function wantedOf(job: Job): Wanted {
+  return {
+    bundle: job.bundle,
+    scene: job.scene,
+    own: !job.renderer,
+    draft: draftOf(job),
+    instead: null,
+  };
+}
+
+/** A job that is over, as the beginning of another one. */
+function Again(props: { id: string; got: (wanted: Wanted) => void }) {
+  const { id } = props;
+  const job = useResource<Job>((signal) => get("/v1/jobs/{id}", { path: { id }, signal }), [id]);
+  useEffect(() => {
+    if (!job.data) return;
+    const wanted = wantedOf(job.data);
+    const isPast = job.data.deadline != null && Date.parse(job.data.deadline) <= Date.now();
+    props.got(isPast ? { ...wanted, draft: { ...wanted.draft, deadline: "" } } : wanted);
+  }, [job.data]);
+  return job.error ? (
+    <Trouble error={job.error} retry={job.reload} />
+  ) : (
+    <Waiting>Asking for the job…</Waiting>
   );
 }
 

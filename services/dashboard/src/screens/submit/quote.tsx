@@ -6,10 +6,11 @@ import { get, post } from "../../api/client";
 import type { AnswersDoc, Explanation, ForecastDoc, Job } from "../../api/types";
 import { onEvents } from "../../state/live";
 import { isNews } from "../../state/news";
+import { now } from "../../state/now";
 import { go, href, param } from "../../state/route";
 import { bytes, clean, counted, cpuTime, percent, words, work } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Money, Prose, Section, Trouble, Waiting } from "../../ui/parts";
+import { AsOf, Money, Prose, Section, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
 import { useTasks } from "../job/tasks";
 import { When } from "./when";
@@ -157,22 +158,31 @@ function Previews(props: { job: Job; frames: readonly number[] }) {
   );
 }
 
+const MINUTE = 60_000;
+
 function Ready(props: { job: Job; edit: (job: Job) => void }) {
   const { job } = props;
   const quote = useResource<ForecastDoc>(
     (signal) => get("/v1/jobs/{id}/forecast", { path: { id: job.id }, signal }),
     [job.id],
   );
+  const held = job.state === "quoted";
+  // Time and every plan of another job change what could be booked.
   const answers = useResource<AnswersDoc>(
     (signal) => get("/v1/jobs/{id}/answers", { path: { id: job.id }, signal }),
     [job.id, job.deadline, job.budget],
+    held ? Math.floor(now.value / MINUTE) : 0,
   );
+  const anew = useThrottled(answers.reload, 3_000);
+  useEffect(() => {
+    if (!held) return undefined;
+    return onEvents((events) => events.some((event) => event.kind === "plan_stored") && anew(), anew);
+  }, [held]);
   const why = useResource<Explanation>(
     (signal) => get("/v1/jobs/{id}/explanation", { path: { id: job.id }, signal }),
     [job.id],
   );
   const [state, setState] = useState<{ busy: boolean; error: Error | null }>({ busy: false, error: null });
-  const held = job.state === "quoted";
   const accept = async () => {
     setState({ busy: true, error: null });
     try {
@@ -194,9 +204,15 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
       ) : (
         <Waiting>Reading the quote…</Waiting>
       )}
-      <Section title="When it would be ready, and for how much">
+      <Section
+        title="When it would be ready, and for how much"
+        aside={answers.data && <AsOf at={answers.data.at} />}
+      >
         {answers.data ? (
-          <When job={job} doc={answers.data} />
+          <>
+            {answers.error && <Trouble error={answers.error} retry={answers.reload} />}
+            <When job={job} doc={answers.data} />
+          </>
         ) : answers.error ? (
           <Trouble error={answers.error} retry={answers.reload} />
         ) : (

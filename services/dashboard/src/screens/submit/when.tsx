@@ -42,7 +42,7 @@ export function When(props: { job: Job; doc: AnswersDoc }) {
         <ul class="sentences">
           {doc.ways_out.map((way) => (
             <li key={way.words}>
-              <Prose text={way.words} />
+              <Prose text={way.words} named />
             </li>
           ))}
         </ul>

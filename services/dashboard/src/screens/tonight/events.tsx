@@ -1,13 +1,13 @@
 // What happened lately, newest first.
 
 import type { Event } from "../../api/types";
-import { recent } from "../../state/farm";
+import { happened } from "../../state/happened";
 import { href } from "../../state/route";
 import { clean, told, words } from "../../ui/format";
 import { type Tone } from "../../ui/mark";
 import { Section, Time } from "../../ui/parts";
 
-const TOLD: Partial<Record<Event["kind"], [glyph: string, tone: Tone]>> = {
+const MARKS: Record<(typeof happened.value)[number]["kind"], [glyph: string, tone: Tone]> = {
   job_created: ["+", "plan"],
   job_state: ["→", "busy"],
   job_changed: ["→", "quiet"],
@@ -29,7 +29,7 @@ const TOLD: Partial<Record<Event["kind"], [glyph: string, tone: Tone]>> = {
 };
 
 export function Events() {
-  const told = recent.value.filter((event) => TOLD[event.kind]).slice(0, 14);
+  const told = happened.value.slice(0, 14);
   return (
     <Section title="What happened" class="happened">
       {told.length === 0 ? (
@@ -37,7 +37,7 @@ export function Events() {
       ) : (
         <ol class="events">
           {told.map((event) => {
-            const [glyph, tone] = TOLD[event.kind]!;
+            const [glyph, tone] = MARKS[event.kind];
             return (
               <li key={event.id}>
                 <span class="number muted">

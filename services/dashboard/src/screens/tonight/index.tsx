@@ -2,8 +2,10 @@
 
 import { useEffect, useMemo } from "preact/hooks";
 import type { Farm, DashboardJob } from "../../api/types";
-import { atRisk, farm, farmError, now, refresh } from "../../state/farm";
-import { param, setQuery } from "../../state/route";
+import { failed, failedAhead } from "../../state/failed";
+import { atRisk, farm, farmError, openAtRisk, refresh } from "../../state/farm";
+import { now } from "../../state/now";
+import { href, param, setQuery } from "../../state/route";
 import { seesAll } from "../../state/session";
 import { titled } from "../../state/tab";
 import { AxisHead, Fan, spreadWords } from "../../ui/fan";
@@ -14,7 +16,7 @@ import { axisFor } from "../../ui/time-axis";
 import { Events } from "./events";
 import { FirstSteps } from "./first-steps";
 import { Ends, JobTable, Risks, spreadOf, troubleOf } from "./jobs";
-import { type Shown, SHOWN, type Sort, SORTS, useListed } from "./listed";
+import { type Listed, type Shown, SHOWN, type Sort, SORTS, useListed } from "./listed";
 import { Spend } from "./spend";
 
 export function Tonight() {
@@ -44,7 +46,7 @@ export function Tonight() {
 /** The farm in one glance, in words. */
 function Summary(props: { doc: Farm }) {
   const { doc } = props;
-  const risks = atRisk.value;
+  const risks = openAtRisk.value;
   const late = doc.jobs.filter((job) => !job.promise && troubleOf(job) !== null).length;
   const p80 = maybeInstant(doc.finish?.p80);
   const p95 = maybeInstant(doc.finish?.p95);
@@ -59,8 +61,9 @@ function Summary(props: { doc: Farm }) {
           {counted(risks, "promise")} at risk.{" "}
         </strong>
       ) : (
-        <strong>No promise is at risk. </strong>
+        atRisk.value === 0 && <strong>No promise is at risk. </strong>
       )}
+      <Failed />
       {late > 0 && <strong class="tone-warn">{counted(late, "job")} late in every plan. </strong>}
       {counted(doc.jobs_open_total, "job")} open
       {p80 !== null && (
@@ -74,9 +77,27 @@ function Summary(props: { doc: Farm }) {
         <>{counted(doc.counts.jobs.quoted, "quote waits", "quotes wait")} to be accepted. </>
       )}
       {grouped(nodes.working)} of {counted(doc.counts.nodes, "node")} working
-      {trouble > 0 && <strong class="tone-warn">, {trouble} silent or set aside</strong>}. Spent tonight:{" "}
-      <span class="number">{money(spent)}</span>.
+      {trouble > 0 && <strong class="tone-warn">, {grouped(trouble)} silent or set aside</strong>}. Spent
+      tonight: <span class="number">{money(spent)}</span>.
     </p>
+  );
+}
+
+/** How many jobs failed, and for how many of them there is still time. */
+function Failed() {
+  const count = failed.value.length;
+  const ahead = failedAhead.value.length;
+  if (count === 0) return null;
+  return (
+    <>
+      <a class="tone-bad" href={href(["tonight"], { show: "failed" })}>
+        <strong>
+          <span aria-hidden="true">✕ </span>
+          {counted(count, "job")} failed
+          {ahead > 0 && `, ${ahead === count ? "" : `${grouped(ahead)} `}before the deadline`}.
+        </strong>
+      </a>{" "}
+    </>
   );
 }
 
@@ -94,7 +115,7 @@ function Jobs(props: { doc: Farm }) {
     <div class="main" ref={box}>
       <Finish of={doc.finish} />
       {risks.length > 0 && (
-        <Section title={`At risk or late: ${shownOf(risks.length, atRisk.value)}`}>
+        <Section title={`At risk or late: ${shownOf(risks.length, openAtRisk.value)}`}>
           <Risks jobs={risks} axis={axisOf(risks, now.value)} narrow={width < 720} />
         </Section>
       )}
@@ -117,9 +138,7 @@ function Jobs(props: { doc: Farm }) {
         )}
         {listed.jobs.length > 0 && (
           <p class="note">
-            {listed.loading
-              ? "Asking for more jobs…"
-              : `${counted(listed.jobs.length, "job")} shown${listed.total === null ? "" : ` of ${listed.total}`}.`}{" "}
+            {listed.loading ? "Asking for more jobs…" : `${shownWords(listed.jobs.length, listed.others)}.`}{" "}
             The bar runs from P50 to P95, dark to P80; the line is the deadline. Times are yours: see the
             clock above.
           </p>
@@ -204,6 +223,15 @@ function axisOf(jobs: readonly DashboardJob[], from: number, share?: number) {
 /** On a large farm, the rows are asked page by page, and their number is known before. */
 function shownOf(rows: number, known: number): string {
   return rows < known ? `${grouped(rows)} of ${grouped(known)}` : grouped(rows);
+}
+
+/** How many jobs are in the list, of those that are not above it. */
+function shownWords(shown: number, others: Listed["others"]): string {
+  if (others === null) return `${counted(shown, "job")} shown`;
+  const [one, many] = others.above > 0 ? ["other job", "other jobs"] : ["job", "jobs"];
+  return shown < others.total
+    ? `${grouped(shown)} of ${counted(others.total, one, many)} shown`
+    : counted(shown, one, many);
 }
 
 function none(shown: Shown, search: string, others: boolean): string {

@@ -2,6 +2,7 @@
 
 import { useState } from "preact/hooks";
 import type { DashboardJob } from "../../api/types";
+import { neverEnds } from "../../state/news";
 import { maySubmitTo } from "../../state/session";
 import { href, param, setQuery } from "../../state/route";
 import { AxisHead, Fan, slackWords, type Spread, spreadWords } from "../../ui/fan";
@@ -29,7 +30,7 @@ export function troubleOf(job: DashboardJob): "risk" | "late" | "impossible" | n
 }
 
 function probabilityOf(job: DashboardJob): number | null {
-  return job.probability ?? job.promise?.probability ?? null;
+  return neverEnds(job.state) ? null : (job.probability ?? job.promise?.probability ?? null);
 }
 
 export function JobTable(props: {
@@ -105,7 +106,11 @@ function JobRow(props: { job: DashboardJob; axis: Axis }) {
           <Time at={end} none="not known yet" />
         </span>
         <span class="under">
-          {job.state === "quoted" && end !== null ? "if accepted now" : slackWords(end, deadline)}
+          {job.state === "quoted" && end !== null
+            ? "if accepted now"
+            : neverEnds(job.state)
+              ? job.state
+              : slackWords(end, deadline)}
         </span>
       </span>
       <span role="cell" class="cell-fan">

@@ -3,9 +3,9 @@
 import { useCallback, useEffect, useMemo, useRef } from "preact/hooks";
 import { get } from "../../api/client";
 import type { DashboardJob, Event, Farm, Job } from "../../api/types";
-import { now } from "../../state/farm";
 import { onEvents } from "../../state/live";
 import { isNews, rowAfter } from "../../state/news";
+import { now } from "../../state/now";
 import { PAGE, usePages } from "../../ui/pages";
 import { troubleOf } from "./jobs";
 
@@ -26,11 +26,12 @@ export const SORTS = [
 ] as const;
 export type Sort = (typeof SORTS)[number][0];
 
-interface Listed {
+export interface Listed {
   jobs: readonly DashboardJob[];
   /** Open jobs in trouble. They are shown above the list, and without a filter not in it. */
   risks: readonly DashboardJob[];
-  total: number | null;
+  /** Open jobs that are not above the list, and how many are. `null` if that is not known. */
+  others: { total: number; above: number } | null;
   loading: boolean;
   error: Error | null;
   see: (first: number, last: number) => void;
@@ -95,7 +96,7 @@ export function useListed(doc: Farm, shown: Shown, sort: Sort, search: string): 
   return {
     jobs,
     risks,
-    total: plain ? doc.jobs_open_total : null,
+    others: plain ? { total: doc.jobs_open_total - risks.length, above: risks.length } : null,
     loading: pages.loading,
     error: pages.error,
     see,

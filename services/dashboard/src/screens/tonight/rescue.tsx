@@ -1,16 +1,16 @@
 // Taking a rescue: first what the plan would change, then one button.
 
 import { canTake, take, whatToDo } from "../../actions/jobs";
-import { useState } from "preact/hooks";
+import { useMemo, useState } from "preact/hooks";
 import { get, post } from "../../api/client";
 import type { Job, PlanEffect } from "../../api/types";
 import { refresh } from "../../state/farm";
 import { mayOperate } from "../../state/session";
 import { go, href } from "../../state/route";
 import { Confirm, Dialog } from "../../ui/dialog";
-import { clean, counted, duration } from "../../ui/format";
+import { clean, counted, duration, signedMoney } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Money, Prose, Time, Trouble, Waiting } from "../../ui/parts";
+import { Prose, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 
 /** The cheapest rescue of a job, and other ways out that its plan knows. */
@@ -22,14 +22,25 @@ export function RescueDialog(props: {
 }) {
   const { jobId } = props;
   const job = useResource<Job>((signal) => get("/v1/jobs/{id}", { path: { id: jobId }, signal }), [jobId]);
-  const ways = waysOut(props.rescue ?? job.data?.promise?.rescue ?? null, job.data?.verdict?.ways_out ?? []);
+  // New plans change the rescue of the job. What is offered here stays until somebody asks again.
+  const [first, setFirst] = useState(props.rescue);
+  const ways = useMemo(
+    () => waysOut(first ?? job.data?.promise?.rescue ?? null, job.data?.verdict?.ways_out ?? []),
+    [first, job.data],
+  );
   const [chosen, setChosen] = useState<string | null>(null);
-  const way = ways.find((one) => one.words === chosen) ?? ways[0] ?? null;
+  const way = ways.find((one) => keyOf(one) === chosen) ?? ways[0] ?? null;
   const effect = useResource(
     (signal) =>
       way ? post("/v1/plans/what-if", { body: { change: way.change, job_id: jobId }, signal }) : null,
-    [jobId, way?.words],
+    [jobId, way && keyOf(way)],
   );
+  const again = () => {
+    setFirst(null);
+    setChosen(null);
+    job.reload();
+    effect.reload();
+  };
   const title = `Rescue ${clean(props.name)}`;
   if (!way) {
     return (
@@ -44,47 +55,60 @@ export function RescueDialog(props: {
       </Dialog>
     );
   }
-  const possible = canTake(way.change);
+  const isPossible = canTake(way.change);
+  const isLate = effect.data?.effect.in_time === false;
   return (
     <Confirm
       title={title}
       act="Make this change"
-      ready={possible && !effect.loading}
+      ready={isPossible && effect.data !== null && !isLate && !effect.loading && !job.loading}
       close={props.close}
       run={async () => {
         const look = await take(way.change, jobId);
         await refresh();
-        if (look !== jobId) go(["jobs", look]);
+        return look;
       }}
+      next={(look) => look !== jobId && go(["jobs", look])}
     >
       <fieldset class="ways">
         <legend>{ways.length > 1 ? "Ways out, the cheapest first" : "The way out"}</legend>
         {ways.map((one) => (
-          <label key={one.words}>
-            <input type="radio" name="way" checked={one === way} onChange={() => setChosen(one.words)} />{" "}
-            <Prose text={one.words} />
+          <label key={keyOf(one)}>
+            <input type="radio" name="way" checked={one === way} onChange={() => setChosen(keyOf(one))} />{" "}
+            <Prose text={one.words} named />
           </label>
         ))}
       </fieldset>
       <h3>What it would change</h3>
       {effect.loading && <Waiting>Asking the planner…</Waiting>}
       {effect.error && <Trouble error={effect.error} retry={effect.reload} />}
+      {isLate && (
+        <p class="tone-bad" role="status">
+          This no longer keeps the deadline.{" "}
+          <button type="button" class="plain" onClick={again}>
+            Ask for ways out again
+          </button>
+        </p>
+      )}
       <Effect effect={effect.data?.effect ?? way} />
       {effect.data && effect.data.words.length > 0 && (
-        <ul class="sentences long" tabIndex={0}>
-          {effect.data.words.map((line) => (
-            <li key={line}>
-              <Prose text={line} />
-            </li>
-          ))}
-        </ul>
+        <>
+          <h3>All that the plan changes</h3>
+          <ul class="sentences long" tabIndex={0}>
+            {effect.data.words.map((line) => (
+              <li key={line}>
+                <Prose text={line} named />
+              </li>
+            ))}
+          </ul>
+        </>
       )}
       {"quality" in way.change && (
         <p class="note">
           Its frames that are finished are kept with the old job, and rendered again in the new one.
         </p>
       )}
-      {!possible && <ByHand change={way.change} close={props.close} />}
+      {!isPossible && <ByHand change={way.change} close={props.close} />}
     </Confirm>
   );
 }
@@ -116,13 +140,15 @@ function NoWay(props: { jobId: string; close: () => void }) {
   );
 }
 
-/** The rescue first, and each change once. */
+const keyOf = (way: PlanEffect) => JSON.stringify(way.change);
+
+/** The rescue first, and each change once that keeps the deadline. */
 function waysOut(rescue: PlanEffect | null, others: readonly PlanEffect[]): PlanEffect[] {
   const all = rescue ? [rescue, ...others] : [...others];
   const seen = new Set<string>();
   return all.filter((way) => {
-    const key = JSON.stringify(way.change);
-    return !seen.has(key) && seen.add(key);
+    const key = keyOf(way);
+    return way.in_time && !seen.has(key) && seen.add(key);
   });
 }
 
@@ -144,17 +170,14 @@ export function Effect(props: { effect: PlanEffect }) {
             {effect.added_cost === 0 ? (
               "no change"
             ) : (
-              <>
-                {effect.added_cost > 0 ? "+" : "−"}
-                <Money of={Math.abs(effect.added_cost)} />
-              </>
+              <span class="number">{signedMoney(effect.added_cost)}</span>
             )}
           </dd>
         </div>
       </dl>
       {effect.moved.length > 0 ? (
         <>
-          <h3>{counted(effect.moved.length, "other job")} would move</h3>
+          <h3>{counted(effect.moved.length, "other job")} would move by more than a minute</h3>
           <ul class="plain-list">
             {effect.moved.map((job) => (
               <li key={job.job_id}>
@@ -165,7 +188,7 @@ export function Effect(props: { effect: PlanEffect }) {
           </ul>
         </>
       ) : (
-        <p class="note">No other job would move.</p>
+        <p class="note">No other job would move by more than a minute.</p>
       )}
     </>
   );

@@ -6,7 +6,7 @@ import type { BudgetForecast, MoneyForecast } from "../../api/types";
 import { onEvents } from "../../state/live";
 import { clean, counted, dayName, money, nightOf, percent, timeZone } from "../../ui/format";
 import { Mark } from "../../ui/mark";
-import { Money, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
+import { AsOf, Money, Section, TableBehind, Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
 
 const DAY = 86_400_000;
@@ -39,7 +39,7 @@ export function Spend(props: { version: number }) {
     [],
   );
   return (
-    <Section title="Spend" class="spend">
+    <Section title="Spend" class="spend" aside={forecast.data && <AsOf at={forecast.data.made_at} />}>
       {forecast.data ? (
         <>
           {forecast.error && <Trouble error={forecast.error} retry={forecast.reload} />}
