@@ -22,6 +22,8 @@ pub(crate) mod effects;
 pub(crate) mod farm;
 mod held_quotes;
 pub(crate) mod job_profile;
+#[cfg(test)]
+pub(crate) mod made_up;
 pub(crate) mod numbers;
 mod qualities;
 mod replan;

@@ -1,9 +1,9 @@
 //! Questions about a plan: is a job possible, at what price, what would a change do, and what would help.
 //!
-//! Questions about one job keep the bookings of all others, since these were promised. Questions about the
-//! farm make a new plan.
+//! Questions about one job keep the bookings of all others, since these were promised. Those without a
+//! deadline make way, as they do in a plan. Questions about the farm make a new plan.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -131,7 +131,7 @@ impl Effect {
 /// # Errors
 /// If the input is invalid or has no such job.
 pub fn outlook(input: &Input, job: u64) -> Result<Vec<Outlook>, InputError> {
-    let around = others_fixed(input, job)?;
+    let around = others_fixed(input, job, find(input, job)?.deadline.is_some())?;
     [Confidence::P50, Confidence::P80, Confidence::P95]
         .into_iter()
         .map(|confidence| {
@@ -155,7 +155,7 @@ pub fn outlook(input: &Input, job: u64) -> Result<Vec<Outlook>, InputError> {
 /// # Errors
 /// If the input is invalid or has no such job.
 pub fn curve(input: &Input, job: u64, points: u32) -> Result<Vec<Offer>, InputError> {
-    let around = others_fixed(input, job)?;
+    let around = others_fixed(input, job, true)?;
     let Some((release, soonest)) = soonest(&around, job)? else { return Ok(Vec::new()) };
     let span = soonest.saturating_sub(release).max(MINUTE);
     let mut offers: Vec<Offer> = Vec::new();
@@ -182,7 +182,7 @@ pub fn curve(input: &Input, job: u64, points: u32) -> Result<Vec<Offer>, InputEr
 /// # Errors
 /// If the input is invalid or has no such job.
 pub fn earliest_for_budget(input: &Input, job: u64, budget: i64) -> Result<Option<Offer>, InputError> {
-    let around = others_fixed(input, job)?;
+    let around = others_fixed(input, job, true)?;
     let Some((release, soonest)) = soonest(&around, job)? else { return Ok(None) };
     let within = |deadline| -> Result<Option<Offer>, InputError> {
         Ok(offer(&around, job, deadline)?.filter(|offer| offer.cost <= budget))
@@ -380,15 +380,21 @@ pub fn effect(change: &Change, before: &Plan, after: &Plan) -> Effect {
     effect
 }
 
-/// The input with this job alone. The others are fixed bookings, from the best plan without this job.
-fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
-    find(input, job)?;
-    let mut without = input.clone();
-    without.jobs.retain(|other| other.id != job);
-    without.movable.retain(|booking| booking.job != job);
-    let standing = plan(&without)?;
+/// The input with this job alone. The others are fixed bookings, from the plan of all of them. Jobs without a
+/// deadline get the time that is left: they are not there for a job that is asked about `by_deadline`, unless
+/// their priority is higher.
+fn others_fixed(input: &Input, job: u64, by_deadline: bool) -> Result<Input, InputError> {
+    let own = find(input, job)?;
     let mut around = Input { movable: Vec::new(), ..input.clone() };
-    for booking in &standing.bookings {
+    around.jobs.retain(|other| other.id == job);
+    if input.jobs.len() == around.jobs.len() {
+        return Ok(around);
+    }
+    let stays = |other: &&Job| {
+        other.id != job && !(by_deadline && other.deadline.is_none() && other.priority <= own.priority)
+    };
+    let staying: BTreeSet<u64> = input.jobs.iter().filter(stays).map(|other| other.id).collect();
+    for booking in plan(input)?.bookings.iter().filter(|booking| staying.contains(&booking.job)) {
         around.fixed.push(FixedBooking {
             node: booking.node,
             start: booking.start,
@@ -396,7 +402,6 @@ fn others_fixed(input: &Input, job: u64) -> Result<Input, InputError> {
             job: Some(booking.job),
         });
     }
-    around.jobs.retain(|other| other.id == job);
     Ok(around)
 }
 

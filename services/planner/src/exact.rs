@@ -71,15 +71,19 @@ fn most_in_time(
     found: &State,
     is_possible: impl Fn(&[bool]) -> bool,
 ) -> Option<Vec<bool>> {
+    // A job with nothing left to do takes no time from others. So there are at most as many open jobs as
+    // tasks.
+    let (open, done): (Vec<usize>, Vec<usize>) =
+        (0..problem.jobs.len()).partition(|&job| !problem.jobs[job].frames.is_empty());
     let of_set = |jobs: &[usize], set: usize| {
         let mut kept = vec![false; problem.jobs.len()];
+        done.iter().for_each(|&job| kept[job] = true);
         (0..jobs.len()).filter(|bit| set >> bit & 1 == 1).for_each(|bit| kept[jobs[bit]] = true);
         kept
     };
     // A job that cannot be in time alone is in no possible set.
-    let hopeful: Vec<usize> =
-        (0..problem.jobs.len()).filter(|&job| is_possible(&of_set(&[job], 1))).collect();
-    let is_found = |kept: &[bool]| (0..kept.len()).all(|job| kept[job] == found.is_kept(job));
+    let hopeful: Vec<usize> = open.iter().copied().filter(|&job| is_possible(&of_set(&[job], 1))).collect();
+    let is_found = |kept: &[bool]| open.iter().all(|&job| kept[job] == found.is_kept(job));
     let mut sets: Vec<Vec<bool>> = (0..1usize << hopeful.len()).map(|set| of_set(&hopeful, set)).collect();
     sets.sort_by_cached_key(|kept| (broken(problem, |job| !kept[job]), !is_found(kept)));
     sets.into_iter().find(|kept| is_possible(kept))

@@ -7,8 +7,10 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use crate::fairness::decayed_usage;
-use crate::model::{Input, InputError, Plan};
-use crate::problem::Problem;
+use crate::gaps::{Gap, Gaps};
+use crate::intervals::Intervals;
+use crate::model::{Booking, Input, InputError, Plan, Task, Verdict};
+use crate::problem::{Problem, Work};
 
 const MOST_NAMED: usize = 3;
 
@@ -39,8 +41,18 @@ pub enum Reason {
         /// The jobs that hold most of the nodes' time meanwhile, and why each goes first.
         jobs: Vec<(u64, Precedence)>,
     },
-    /// It could start now. Later is cheaper, and its deadline allows it.
+    /// No node that can render it is ready, and free for long enough, before its first task: nodes are set
+    /// up, or close soon.
+    NoRoom {
+        /// When its first task starts.
+        until: i64,
+    },
+    /// It could start earlier. Later is cheaper, and its deadline allows it.
     Cheaper,
+    /// It could start earlier, on a node that would end its first task no sooner.
+    Sooner,
+    /// It could start earlier, and keeps its later booking: it stays within a budget, or where it was.
+    Booked,
 }
 
 /// Why another job goes first.
@@ -92,8 +104,7 @@ impl fmt::Display for Reason {
         match self {
             Reason::NoNode => write!(f, "waits because no node can ever render it"),
             Reason::Calendar { until } => {
-                let instant = jiff::Timestamp::from_microsecond(*until);
-                let until = instant.map_or_else(|_| until.to_string(), |instant| instant.to_string());
+                let until = in_words(*until);
                 write!(f, "waits because no node that can render it is free by its calendar before {until}")
             }
             Reason::Behind { jobs } => {
@@ -103,9 +114,19 @@ impl fmt::Display for Reason {
                 }
                 Ok(())
             }
+            Reason::NoRoom { until } => {
+                let until = in_words(*until);
+                write!(f, "waits because no node that can render it is free for long enough before {until}")
+            }
             Reason::Cheaper => write!(f, "waits because it is cheaper later and still in time"),
+            Reason::Sooner => write!(f, "waits because it ends sooner where it is booked"),
+            Reason::Booked => write!(f, "waits because it is booked later, though a node is free before"),
         }
     }
+}
+
+fn in_words(instant: i64) -> String {
+    jiff::Timestamp::from_microsecond(instant).map_or_else(|_| instant.to_string(), |at| at.to_string())
 }
 
 /// Explains the jobs of `which` that start after their release, or not at all.
@@ -119,25 +140,27 @@ pub fn explain(
 ) -> Result<Vec<Explanation>, InputError> {
     input.check()?;
     let problem = Problem::new(input);
-    let mut firsts: BTreeMap<u64, i64> = BTreeMap::new();
+    let mut firsts: BTreeMap<u64, Booking> = BTreeMap::new();
     for booking in &plan.bookings {
-        firsts
-            .entry(booking.job)
-            .and_modify(|first| *first = booking.start.min(*first))
-            .or_insert(booking.start);
+        firsts.entry(booking.job).and_modify(|first| *first = *booking.min(first)).or_insert(*booking);
     }
+    let in_time = plan.jobs.iter().filter(|entry| matches!(entry.verdict, Verdict::Feasible { .. }));
+    let in_time: BTreeSet<u64> = in_time.map(|entry| entry.job).collect();
     let mut taken = Taken::new(&problem, plan);
     let mut found = Vec::new();
     for (index, work) in problem.jobs.iter().enumerate() {
         let release = work.release(input.now);
-        let first = firsts.get(&work.job.id).copied();
+        let first = firsts.get(&work.job.id);
         let is_empty = work.frames.is_empty() && work.shared_cache.is_none();
-        let begins = first.is_some_and(|first| first <= release);
+        let begins = first.is_some_and(|first| first.start <= release);
         if is_empty || begins || !which(work.job.id) {
             continue;
         }
-        let reason = reason(&problem, index, first, &mut taken);
-        let waits = first.map_or(i64::MAX, |first| first.saturating_sub(release));
+        let reason = match first {
+            None => Reason::NoNode,
+            Some(first) => reason(&problem, index, first, in_time.contains(&work.job.id), &mut taken),
+        };
+        let waits = first.map_or(i64::MAX, |first| first.start.saturating_sub(release));
         found.push(Explanation { job: work.job.id, waits, reason });
     }
     Ok(found)
@@ -152,8 +175,10 @@ struct Taken {
     planned: Vec<Vec<Span>>,
     /// By class of nodes: what is fixed.
     fixed: Vec<Vec<Span>>,
-    /// By class of nodes and instant.
-    openings: BTreeMap<(usize, i64), Opening>,
+    /// By class of nodes and instant: when the first of them is in its calendar.
+    openings: BTreeMap<(usize, i64), Option<i64>>,
+    /// By class of nodes: what is left of their free time.
+    left: BTreeMap<usize, Left>,
 }
 
 /// A stretch of a node's time.
@@ -165,13 +190,32 @@ struct Span {
     job: Option<usize>,
 }
 
-/// How the nodes of a class are open from an instant on.
-#[derive(Clone, Copy)]
-struct Opening {
-    /// When the first of them is in its calendar.
-    from: Option<i64>,
-    /// Whether one is free at the instant itself.
-    is_free: bool,
+/// The time of a class of nodes that nothing is planned in, after set-ups.
+struct Left {
+    gaps: Gaps,
+    /// By node.
+    of_nodes: BTreeMap<usize, Intervals>,
+}
+
+impl Left {
+    fn of(problem: &Problem, class: usize, planned: &[Span]) -> Self {
+        let free = |&node: &usize| {
+            let windows = problem.windows[node].iter();
+            let ready = windows.map(|window| (window.ready(problem.nodes[node]), window.end));
+            (node, Intervals::union(ready.collect()))
+        };
+        let mut of_nodes: BTreeMap<usize, Intervals> = problem.classes[class].iter().map(free).collect();
+        for span in planned {
+            if let Some(free) = of_nodes.get_mut(&span.node) {
+                free.take(span.start, span.end);
+            }
+        }
+        let mut gaps = Gaps::new(&problem.looks);
+        for (&node, free) in &of_nodes {
+            free.iter().for_each(|(start, end)| gaps.insert(Gap { start, node, end }));
+        }
+        Left { gaps, of_nodes }
+    }
 }
 
 impl Taken {
@@ -194,22 +238,44 @@ impl Taken {
         };
         let planned = by_class(&mut plan.bookings.iter().map(|it| (it.node, it.start, it.end, Some(it.job))));
         let fixed = by_class(&mut fixed.iter().map(|it| (it.node, it.start, it.end, it.job)));
-        Self { jobs, planned, fixed, openings: BTreeMap::new() }
+        Self { jobs, planned, fixed, openings: BTreeMap::new(), left: BTreeMap::new() }
     }
 
-    /// How these classes of nodes are open from `release` on.
-    fn opening(&mut self, problem: &Problem, classes: &[usize], release: i64) -> Opening {
-        let Self { planned, openings, .. } = self;
-        let of_class = |&class: &usize| {
-            *openings
-                .entry((class, release))
-                .or_insert_with(|| Opening::of(problem, class, &planned[class], release))
+    /// When the first node of these classes is in its calendar, from `release` on.
+    fn opens(&mut self, problem: &Problem, classes: &[usize], release: i64) -> Option<i64> {
+        let of_class = |class: usize| {
+            let windows = problem.classes[class].iter().flat_map(|&node| &problem.windows[node]);
+            windows.filter(|window| window.end > release).map(|window| window.start.max(release)).min()
         };
-        let all: Vec<Opening> = classes.iter().map(of_class).collect();
-        Opening {
-            from: all.iter().filter_map(|opening| opening.from).min(),
-            is_free: all.iter().any(|opening| opening.is_free),
-        }
+        let openings = &mut self.openings;
+        let all = classes
+            .iter()
+            .filter_map(|&class| *openings.entry((class, release)).or_insert_with(|| of_class(class)));
+        all.min()
+    }
+
+    fn left(&mut self, problem: &Problem, class: usize) -> &Left {
+        self.left.entry(class).or_insert_with(|| Left::of(problem, class, &self.planned[class]))
+    }
+
+    /// When a task of this job could start, and when it would end, in what is left from its release on: for
+    /// each class of nodes, if it could at all.
+    fn places(&mut self, problem: &Problem, work: &Work, classes: &[usize], task: Task) -> Vec<(i64, i64)> {
+        let release = work.release(problem.input.now);
+        let place = |&class: &usize| {
+            let duration = work.duration(problem.representative(class), task)?;
+            let (_, start) = self.left(problem, class).gaps.first(release, duration)?;
+            Some((start, start.saturating_add(duration)))
+        };
+        classes.iter().filter_map(place).collect()
+    }
+
+    /// When this booking could start at the earliest if it only moved within the free time before it.
+    fn moved_up(&mut self, problem: &Problem, booking: &Booking, release: i64) -> Option<i64> {
+        let node = problem.node(booking.node)?;
+        let free = self.left(problem, problem.class_of[node]).of_nodes.get(&node)?;
+        let (start, end) = free.before(booking.start)?;
+        (end == booking.start && end > release).then_some(start.max(release))
     }
 
     /// How much of the time of these classes each job takes between two instants, of what is planned or of
@@ -238,38 +304,29 @@ fn within<'a>(
     })
 }
 
-impl Opening {
-    fn of(problem: &Problem, class: usize, planned: &[Span], at: i64) -> Self {
-        let before = planned.partition_point(|span| span.start <= at);
-        let booked: BTreeSet<usize> =
-            planned[..before].iter().filter(|span| span.end > at).map(|span| span.node).collect();
-        let nodes = &problem.classes[class];
-        let windows = nodes.iter().flat_map(|&node| &problem.windows[node]);
-        let from = windows.filter(|window| window.end > at).map(|window| window.start.max(at)).min();
-        let is_free = |node: &usize| {
-            let mut windows = problem.windows[*node].iter();
-            windows.any(|window| window.start <= at && at < window.end) && !booked.contains(node)
-        };
-        Self { from, is_free: nodes.iter().any(is_free) }
-    }
-}
-
-fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &mut Taken) -> Reason {
+fn reason(problem: &Problem, index: usize, first: &Booking, in_time: bool, taken: &mut Taken) -> Reason {
     let work = &problem.jobs[index];
     let release = work.release(problem.input.now);
-    let Some(first) = first else { return Reason::NoNode };
     let classes = if work.shared_cache.is_some() { &work.shared_cache_classes } else { &work.classes };
-    let opening = taken.opening(problem, classes, release);
-    let meanwhile = (release, first);
-    match opening.from {
+    let meanwhile = (release, first.start);
+    match taken.opens(problem, classes, release) {
         None => return Reason::NoNode,
-        Some(until) if until >= first && within(&taken.fixed, classes, meanwhile).next().is_none() => {
+        Some(until) if until >= first.start && within(&taken.fixed, classes, meanwhile).next().is_none() => {
             return Reason::Calendar { until };
         }
         Some(_) => {}
     }
-    if opening.is_free {
-        return Reason::Cheaper;
+    let places = taken.places(problem, work, classes, shortest(work, first.task));
+    let starts = places.iter().map(|&(start, _)| start).chain(taken.moved_up(problem, first, release));
+    // A start that comes only shortly before the booked one does not explain the wait.
+    let early = release.saturating_add(first.start.saturating_sub(release) / 2);
+    if starts.min().is_some_and(|start| start <= early) {
+        if in_time {
+            return Reason::Cheaper;
+        }
+        let ends = taken.places(problem, work, classes, first.task);
+        let is_sooner = ends.iter().all(|&(_, end)| end >= first.end);
+        return if is_sooner { Reason::Sooner } else { Reason::Booked };
     }
     let holders = taken.by_job(&taken.planned, classes, meanwhile);
     let fixed = taken.by_job(&taken.fixed, classes, meanwhile);
@@ -281,7 +338,7 @@ fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &mut Taken
     let mut jobs: Vec<(Reverse<i64>, u64, bool)> =
         held(holders, false).filter(|(_, job, _)| *job != work.job.id).chain(held(fixed, true)).collect();
     if jobs.is_empty() {
-        return Reason::Cheaper;
+        return Reason::NoRoom { until: first.start };
     }
     if jobs.len() > MOST_NAMED {
         jobs.select_nth_unstable(MOST_NAMED);
@@ -290,6 +347,15 @@ fn reason(problem: &Problem, index: usize, first: Option<i64>, taken: &mut Taken
     jobs.sort_unstable();
     let why = |job, is_fixed| if is_fixed { Precedence::Fixed } else { precedence(problem, index, job) };
     Reason::Behind { jobs: jobs.into_iter().map(|(_, job, is_fixed)| (job, why(job, is_fixed))).collect() }
+}
+
+/// The job's shortest task of those that may start first, if one of them is booked like `first`.
+fn shortest(work: &Work, first: Task) -> Task {
+    let whole = work.frames.iter().filter(|frame| frame.division.allows(1));
+    match (first, whole.min_by_key(|frame| frame.work)) {
+        (Task::Frame(_), Some(frame)) => Task::Frame(frame.number),
+        _ => first,
+    }
 }
 
 fn precedence(problem: &Problem, waiting: usize, other: u64) -> Precedence {

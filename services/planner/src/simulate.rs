@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::calendar::Window;
 use crate::chance::normal;
-use crate::model::{Input, InputError, JobPlan, Plan, Task, Verdict, price_of};
+use crate::model::{Frame, Input, InputError, JobPlan, Plan, Task, Verdict, price_of};
 use crate::problem::Problem;
 
 /// The result of all scenarios.
@@ -146,6 +146,8 @@ struct Drawn {
     bought: i64,
     /// Standard deviation of the logarithm of the frame's own factor.
     own: f64,
+    /// Which factor that is: the frame's number, which its parts share.
+    draw: u64,
     price_per_hour: i64,
 }
 
@@ -156,12 +158,13 @@ impl Drawn {
 }
 
 fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
-    let own_spread: Vec<BTreeMap<i64, f64>> = problem
+    let own_spread: Vec<BTreeMap<i64, (f64, i64)>> = problem
         .jobs
         .iter()
         .map(|work| {
             let frames = work.job.frames.iter();
-            frames.map(|frame| (frame.number, work.job.own_spread(frame))).collect()
+            let one = |frame: &Frame| (work.job.own_spread(frame), frame.part_of.unwrap_or(frame.number));
+            frames.map(|frame| (frame.number, one(frame))).collect()
         })
         .collect();
     plan.bookings
@@ -179,7 +182,8 @@ fn tasks(problem: &Problem, plan: &Plan) -> Vec<Drawn> {
                 task: booking.task,
                 median: bought as f64 * scale,
                 bought,
-                own: own.unwrap_or(0.0),
+                own: own.map_or(0.0, |(spread, _)| spread),
+                draw: own.map_or(u64::MAX, |(_, frame)| frame as u64),
                 price_per_hour: problem.nodes[node].price_per_hour,
             })
         })
@@ -207,9 +211,8 @@ fn carry_out(
     let mut cost = 0i64;
     for task in tasks {
         let work = &problem.jobs[task.job];
-        let number = task.task.frame().map_or(u64::MAX, |frame| frame as u64);
         let own = if task.own > 0.0 {
-            let z = normal(seed, &[scenario, work.job.id, number]);
+            let z = normal(seed, &[scenario, work.job.id, task.draw]);
             // The mean is one, so that the frames' own factors do not change the total.
             libm::exp(task.own * z - task.own * task.own / 2.0)
         } else {

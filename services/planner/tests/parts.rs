@@ -18,7 +18,7 @@ fn node(id: u64, speed: u64, price: i64) -> Node {
 /// Frames of so many seconds at speed one, divided alike. A part costs six seconds on top.
 fn job(id: u64, deadline: Option<i64>, division: Division, seconds: &[u64]) -> Job {
     let total = seconds.iter().sum();
-    let frame = |(number, &work)| Frame { number, work, work_p80: 0, division };
+    let frame = |(number, &work)| Frame { number, work, division, ..Frame::default() };
     Job {
         id,
         deadline,

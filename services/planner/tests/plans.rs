@@ -226,6 +226,21 @@ fn a_small_farm_that_is_late_whatever_it_does_is_late_by_no_more_than_it_has_to_
     assert!(matches!(found.jobs[1].verdict, Verdict::Late { finish: 8, by: 5, .. }), "{:?}", found.jobs);
 }
 
+#[test]
+fn jobs_with_nothing_left_to_do_do_not_count_when_a_small_farm_is_late() {
+    let mut jobs: Vec<Job> = (0..70).map(|id| job(id, Some(HOUR), &[])).collect();
+    jobs.push(Job { done: vec![0], ..job(70, Some(-HOUR), &[10]) });
+    jobs.extend([job(71, Some(SECOND), &[3]), job(72, Some(4 * SECOND), &[2, 2])]);
+    let found = sound(&input(vec![node(1, 1)], jobs));
+    assert!(found.jobs[..70].iter().all(|entry| entry.verdict.is_kept()));
+    assert!(
+        matches!(found.jobs[71].verdict, Verdict::Late { by, .. } if by == 6 * SECOND),
+        "{:?}",
+        found.jobs[71]
+    );
+    assert!(found.jobs[72].verdict.is_kept());
+}
+
 /// A reference for list scheduling of one job's frames: in this order, each frame goes where it ends first,
 /// and ties go to the first node.
 fn one_by_one(nodes: &[Node], works: &[(i64, u64)]) -> Vec<(i64, u64, i64, i64)> {

@@ -48,7 +48,7 @@ prop_compose! {
         let p50 = works.iter().fold(0u64, |sum, &(work, _)| sum.saturating_add(work));
         let p80 = p50.saturating_add(margin.0);
         let total = WorkTotal { p50, p80, p95: p80.saturating_add(margin.1) };
-        let frames = works.iter().zip(0..).map(|(&(work, division), number)| Frame { number: 3 * number - 5, work, work_p80: 0, division }).collect();
+        let frames = works.iter().zip(0..).map(|(&(work, division), number)| Frame { number: 3 * number - 5, work, division, ..Frame::default() }).collect();
         Job { release, deadline, priority, confidence, total, frames, part_overhead, budget, ..Job::default() }
     }
 }

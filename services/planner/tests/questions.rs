@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use forelight_planner::{
-    Change, Confidence, Event, Frame, Input, Interval, Job, Node, Plan, Project, SharedCache, Task, Usage,
-    Verdict, WorkTotal, difference, earliest_for_budget, explain, outlook, plan, replan, simulate, verify,
-    ways_out, what_if,
+    Change, Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Precedence, Project,
+    Reason, SharedCache, Task, Usage, Verdict, WorkTotal, curve, difference, earliest_for_budget, explain,
+    outlook, plan, replan, simulate, verify, ways_out, what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -151,6 +151,91 @@ fn more_confidence_costs_more_time_and_budgets_buy_deadlines() {
 }
 
 #[test]
+fn answers_about_a_job_agree_with_the_plan_that_others_make_way_for_it() {
+    let with = |deadline, unsure: bool| {
+        let mut hero = job(2, deadline, &[1; 4]);
+        if unsure {
+            hero.total = WorkTotal { p50: 4 * 3600, p80: 4 * 3600, p95: 8 * 3600 };
+        }
+        input(vec![node(1, 1, 1_000_000), node(2, 1, 1_000_000)], vec![job(1, None, &[1; 4]), hero])
+    };
+    let finishes = |farm: &Input| -> Vec<(bool, Option<i64>)> {
+        let lines = outlook(farm, 2).expect("an outlook");
+        lines.iter().map(|line| (line.verdict.is_kept(), line.verdict.finish())).collect()
+    };
+    let farm = with(Some(2), false);
+    assert!(sound(&farm).jobs[1].verdict.is_kept());
+    assert_eq!(finishes(&farm), [(true, Some(2 * HOUR)); 3]);
+    assert_eq!(curve(&farm, 2, 5).expect("a curve")[0].deadline, 2 * HOUR);
+    let offer = earliest_for_budget(&farm, 2, 4_000_000).expect("an answer");
+    assert_eq!(offer.map(|offer| offer.deadline), Some(2 * HOUR));
+    let least = |farm: &Input| curve(farm, 2, 5).expect("a curve")[0].deadline;
+    assert_eq!(least(&with(None, false)), 2 * HOUR, "with a deadline, it would go first");
+    // More work at P95 pushes the other further back.
+    assert_eq!(finishes(&with(Some(4), true))[2], (true, Some(4 * HOUR)));
+    // Without a deadline, both take turns.
+    assert_eq!(finishes(&with(None, false))[0].1, sound(&with(None, false)).jobs[1].verdict.finish());
+    // What a deadline reserves stays reserved.
+    let mut promised = with(Some(4), false);
+    promised.jobs[0].deadline = Some(2 * HOUR);
+    assert_eq!(least(&promised), 4 * HOUR);
+}
+
+#[test]
+fn a_job_waits_because_it_is_cheaper_only_if_it_could_start_and_keeps_its_deadline() {
+    let reason = |farm: &Input, id: u64| {
+        let waits = explain(farm, &sound(farm), |job| job == id).expect("reasons");
+        waits.into_iter().next().map(|explanation| explanation.reason)
+    };
+    let from = |start: i64, node: Node| Node { calendar: vec![Interval { start, end: None }], ..node };
+    // The cheap node opens later, and the dear one is free now.
+    let both = |deadline| {
+        input(vec![node(1, 1, 9_000_000), from(HOUR, node(2, 1, 1_000_000))], vec![job(1, deadline, &[1])])
+    };
+    assert_eq!(reason(&both(Some(3)), 1), Some(Reason::Cheaper));
+    assert_eq!(reason(&both(None), 1), None, "it starts now");
+    // The only node closes before a frame would end.
+    let calendar = vec![Interval { start: 0, end: Some(HOUR / 6) }, Interval { start: 2 * HOUR, end: None }];
+    let closing = Node { calendar, ..node(1, 1, 0) };
+    let long = |deadline| input(vec![closing.clone()], vec![job(1, deadline, &[1])]);
+    assert_eq!(reason(&long(Some(9)), 1), Some(Reason::NoRoom { until: 2 * HOUR }));
+    assert_eq!(reason(&long(Some(1)), 1), Some(Reason::NoRoom { until: 2 * HOUR }));
+    // The node is free until a fixed booking, of a job or of none.
+    let mut until_fixed = input(vec![node(1, 1, 0)], vec![job(1, Some(9), &[1])]);
+    until_fixed.fixed = vec![FixedBooking { node: 1, start: HOUR / 2, end: 3 * HOUR, job: None }];
+    assert_eq!(reason(&until_fixed, 1), Some(Reason::NoRoom { until: 3 * HOUR }));
+    until_fixed.fixed[0].job = Some(7);
+    assert_eq!(reason(&until_fixed, 1), Some(Reason::Behind { jobs: vec![(7, Precedence::Fixed)] }));
+    // A node that sleeps is set up first.
+    let asleep = Node { setup: HOUR / 4, ..node(1, 1, 1_000_000) };
+    let set_up = input(vec![asleep], vec![job(1, Some(9), &[1])]);
+    assert_eq!(reason(&set_up, 1), Some(Reason::NoRoom { until: HOUR / 4 }));
+    // A job without a deadline waits for the fast node, which ends it sooner.
+    let fast = from(HOUR, node(2, 10, 0));
+    let sooner = input(vec![node(1, 1, 0), fast.clone()], vec![job(1, None, &[5])]);
+    assert_eq!(reason(&sooner, 1), Some(Reason::Sooner));
+    let late = input(vec![node(1, 1, 0), fast], vec![job(1, Some(1), &[5])]);
+    assert_eq!(reason(&late, 1), Some(Reason::Sooner), "it is late in every plan");
+    // It waits three hours for another job. That it could start a minute earlier elsewhere is not why.
+    let mut behind = input(vec![node(1, 1, 1_000_000)], vec![job(1, Some(3), &[3]), job(2, Some(9), &[1])]);
+    behind.nodes.push(from(3 * HOUR - 60_000_000, node(2, 1, 9_000_000)));
+    let others = vec![(1, Precedence::EarlierDeadline)];
+    assert_eq!(reason(&behind, 2), Some(Reason::Behind { jobs: others }));
+    let words =
+        [Reason::NoRoom { until: 0 }, Reason::Sooner, Reason::Booked].map(|reason| reason.to_string());
+    assert!(words.iter().all(|words| words.starts_with("waits because ")), "{words:?}");
+}
+
+#[test]
+fn a_booking_that_stays_where_it_was_is_not_called_cheaper() {
+    let farm = input(vec![node(1, 1, 0)], vec![job(1, None, &[1])]);
+    let mut found = sound(&farm);
+    (found.bookings[0].start, found.bookings[0].end) = (2 * HOUR, 3 * HOUR);
+    let waits = explain(&farm, &found, |_| true).expect("reasons");
+    assert_eq!(waits[0].reason, Reason::Booked);
+}
+
+#[test]
 fn a_dead_nodes_frames_move_and_no_others() {
     let farm = input((0..4).map(|id| node(id, 1, 1_000_000)).collect(), vec![job(1, Some(6), &[1; 8])]);
     let old = sound(&farm);
@@ -239,6 +324,23 @@ fn scenarios_are_late_as_often_as_the_quantile_says() {
     let late = simulated.jobs[0].probability(2000);
     assert!((late - 0.2).abs() < 0.04, "{late}");
     assert_eq!(simulate(&farm, &found, 2000, 7), Ok(simulated));
+}
+
+#[test]
+fn the_parts_of_a_frame_that_was_divided_before_are_late_together() {
+    // Each of four nodes has a part. Parts that vary on their own are hardly ever all in time.
+    let nodes = || (1..=4).map(|id| node(id, 1, 0)).collect::<Vec<Node>>();
+    let late = |part_of: Option<i64>| {
+        let mut parts = job(1, Some(1), &[1; 4]);
+        parts.deadline = Some(HOUR + HOUR / 10);
+        for frame in &mut parts.frames {
+            (frame.work_p80, frame.part_of) = (frame.work * 3 / 2, part_of);
+        }
+        let farm = input(nodes(), vec![parts]);
+        simulate(&farm, &sound(&farm), 1000, 7).expect("a simulation").jobs[0].probability(1000)
+    };
+    let (together, alone) = (late(Some(5)), late(None));
+    assert!((0.25..0.4).contains(&together) && alone > 0.7, "{together} {alone}");
 }
 
 #[test]

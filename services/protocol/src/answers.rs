@@ -131,11 +131,11 @@ pub struct Promise {
 pub enum WaitKind {
     /// No suitable node: for a job with a quote, one that could render it; otherwise, one that takes tasks.
     Node,
-    /// All suitable nodes are asleep by their calendars.
+    /// All suitable nodes are asleep by their calendars, or none is free for long enough.
     Calendar,
     /// Other jobs hold a licence or another limited resource.
     Limit,
-    /// The nodes are booked for other jobs.
+    /// The nodes are booked for other jobs, or its place in the plan is on a node that is not free yet.
     Others,
     /// Waiting is cheaper, and the job still finishes in time.
     Cheaper,

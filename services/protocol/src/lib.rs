@@ -163,7 +163,7 @@ pub use stats::{
 pub use stratum::{Stratum, StratumName};
 pub use task::{PreviewSpec, ProfileSpec, RenderSpec, SampleShare, TaskKind, TaskSpec};
 pub use task_list::{TaskPage, TaskRow};
-pub use time::{MalformedTime, Timestamp};
+pub use time::{MalformedTime, Timestamp, duration_in_words};
 pub use timeline::{FrameStrip, JobName, SpanKind, StripQuantity, TimelineNode, TimelinePage, TimelineSpan};
 pub use token::{NewToken, RotateRequest, Token, TokenChange, TokenKind, TokenPage, TokenRequest};
 pub use track_record::{

@@ -92,6 +92,19 @@ impl<'de> Deserialize<'de> for Timestamp {
     }
 }
 
+/// A duration for people: `45 s`, `29 min 43 s`, `2 h 5 min`, without zeros at the end.
+pub fn duration_in_words(seconds: i64) -> String {
+    let of = |(whole, unit): (i64, &str), (part, part_unit): (i64, &str)| match part {
+        0 => format!("{whole} {unit}"),
+        _ => format!("{whole} {unit} {part} {part_unit}"),
+    };
+    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
+        (0, 0, seconds) => format!("{seconds} s"),
+        (0, minutes, seconds) => of((minutes, "min"), (seconds, "s")),
+        (hours, minutes, _) => of((hours, "h"), (minutes, "min")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -126,5 +139,11 @@ mod tests {
     fn absurd_microseconds_saturate_instead_of_overflowing() {
         assert_eq!(Timestamp::from_micros(i64::MAX).plus_micros(i64::MAX).micros(), LATEST);
         assert!(Timestamp::from_micros(i64::MIN).to_string().starts_with("0000-01-01"));
+    }
+
+    #[test]
+    fn durations_are_written_for_people() {
+        let said = [0, 59, 60, 3_599, 3_600, 7_530].map(duration_in_words);
+        assert_eq!(said, ["0 s", "59 s", "1 min", "59 min 59 s", "1 h", "2 h 5 min"]);
     }
 }

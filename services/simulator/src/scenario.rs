@@ -153,6 +153,7 @@ pub fn stills(parts: u32, seed: u64) -> Input {
                 work,
                 work_p80: work + work / 5,
                 division: Division::UpTo(parts),
+                ..Frame::default()
             }],
             part_overhead: OVERHEAD_OF_A_PART,
             ..Job::default()

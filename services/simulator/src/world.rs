@@ -184,8 +184,8 @@ impl World {
                     Some(number) => frames.push(forelight_planner::Frame {
                         number,
                         work: task.work,
-                        work_p80: 0,
                         division: task.division,
+                        ..forelight_planner::Frame::default()
                     }),
                 }
             }

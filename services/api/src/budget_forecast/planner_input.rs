@@ -15,7 +15,7 @@ pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::In
     let nodes: BTreeMap<NodeId, u64> = snapshot.nodes.iter().map(|node| node.id).zip(0..).collect();
     let places: BTreeMap<JobId, u64> = farm.jobs.iter().map(|asked| asked.job.id).zip(0..).collect();
     let now = snapshot.now.micros();
-    let mut bookings = under_way(&farm, snapshot, &nodes, &places);
+    let mut bookings = under_way(snapshot, &nodes, &places);
     let mut input = planner::Input { fixed: Vec::new(), ..farm.input.clone() };
     for booking in &bookings {
         stay_open(&mut input.nodes[booking.node as usize], now, booking.end);
@@ -37,9 +37,8 @@ pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::In
     (input, planner::Plan { bookings, ..planner::Plan::default() })
 }
 
-/// Frames and cache parts that workers hold. On another node than booked, a frame takes that node's time.
+/// Frames and cache parts that workers hold.
 fn under_way(
-    farm: &Farm,
     snapshot: &Snapshot,
     nodes: &BTreeMap<NodeId, u64>,
     places: &BTreeMap<JobId, u64>,
@@ -47,15 +46,9 @@ fn under_way(
     let now = snapshot.now.micros();
     let frames = snapshot.projected.frames.iter().filter(|frame| frame.under_way).filter_map(|frame| {
         let (&node, &job) = nodes.get(&frame.node_id).zip(places.get(&frame.booking.job_id))?;
-        let own = &farm.input.nodes[node as usize];
-        let booked =
-            nodes.get(&frame.booking.node_id).map_or(own, |&booked| &farm.input.nodes[booked as usize]);
-        let class = farm.input.jobs[job as usize].class;
-        let left = frame.end.micros().saturating_sub(now).max(1) as f64;
-        // Speeds are above zero.
-        let left = left * booked.speed_of(class) as f64 / own.speed_of(class) as f64;
         let task = planner::Task::Frame(number(frame.booking.frame_part()));
-        Some(planner::Booking { start: now, node, job, task, end: now.saturating_add(left.ceil() as i64) })
+        let end = frame.end.micros().max(now.saturating_add(1));
+        Some(planner::Booking { start: now, node, job, task, end })
     });
     frames.chain(cache_parts(snapshot, nodes, places, true)).collect()
 }

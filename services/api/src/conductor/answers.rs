@@ -11,15 +11,17 @@ use forelight_planner::Change;
 use forelight_plots as plots;
 use forelight_plots::PlotError;
 use forelight_protocol::{
-    AccuracyRung, AnswersDoc, BudgetAnswer, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer, Timestamp,
+    AccuracyRung, AnswersDoc, BudgetAnswer, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
+    Timestamp,
 };
 
 use super::AdvanceError;
-use super::effects::duration;
-use super::farm::{Farm, own_confidence};
+use super::effects::{counted, duration};
+use super::farm::{Farm, Snapshot, own_confidence};
 use super::qualities::qualities;
 use super::risks::risk;
-use super::settle::end;
+use super::settle::{NO_ROOM_FOR_CACHE, end, held_back};
+use super::what_if::take_away;
 
 const POINTS: u32 = 13;
 
@@ -40,21 +42,28 @@ pub(crate) struct Question {
     pub patience: Duration,
 }
 
-pub(crate) fn answers(farm: &Farm, job: usize, question: &Question) -> Result<AnswersDoc, AdvanceError> {
+/// Answers about a job's plan. `None` if the job has no forecast to plan with.
+pub(crate) fn answers(
+    mut snapshot: Snapshot,
+    job: JobId,
+    question: &Question,
+) -> Result<Option<AnswersDoc>, AdvanceError> {
     let begun = Instant::now();
-    let mut farm = farm.clone();
-    if let Some(deadline) = question.deadline {
-        farm.jobs[job].job.deadline = Some(deadline);
-        farm.input.jobs[job].deadline = Some(deadline.micros());
+    let asked = snapshot.jobs.iter_mut().find(|asked| asked.job.id == job);
+    if let (Some(asked), Some(deadline)) = (asked, question.deadline) {
+        asked.job.deadline = Some(deadline);
     }
-    let asking = Asking::new(&farm, job, question.budget)?;
+    let farm = Farm::new(&snapshot);
+    let Some(place) = farm.place(job) else { return Ok(None) };
+    let asking = Asking::new((&snapshot, &farm), place, question.budget)?;
     let mut document = asking.about_its_plan()?;
     asking.about_changes(&mut document, question, &|| begun.elapsed() < question.patience)?;
-    Ok(document)
+    Ok(Some(document))
 }
 
 /// A job whose plan is asked about.
 struct Asking<'a> {
+    snapshot: &'a Snapshot,
     farm: &'a Farm,
     job: usize,
     /// The farm around the existing bookings of other jobs.
@@ -69,7 +78,11 @@ struct Asking<'a> {
 }
 
 impl<'a> Asking<'a> {
-    fn new(farm: &'a Farm, job: usize, budget: Option<Money>) -> Result<Self, AdvanceError> {
+    fn new(
+        (snapshot, farm): (&'a Snapshot, &'a Farm),
+        job: usize,
+        budget: Option<Money>,
+    ) -> Result<Self, AdvanceError> {
         let around = farm.around(job, &farm.standing);
         let plan = planner::plan(&around)?;
         let finish = end(farm, &plan, job);
@@ -77,7 +90,7 @@ impl<'a> Asking<'a> {
         let cost = plan.job(job as u64).map(|entry| entry.cost);
         let affordable = cost.is_none_or(|cost| budget.is_none_or(|budget| cost <= budget.micro_units()));
         let kept = farm.jobs[job].is_kept(finish) && affordable;
-        Ok(Self { farm, job, around, plan, finish, budget, affordable, kept })
+        Ok(Self { snapshot, farm, job, around, plan, finish, budget, affordable, kept })
     }
 
     /// Answers what the plan itself says.
@@ -115,8 +128,7 @@ impl<'a> Asking<'a> {
             document.why_not = why_not(farm, around, plan, *job, self.budget);
         }
         if asked.held {
-            let project = &asked.job.project;
-            document.why_not.insert(0, format!("the budget of project {project} is used up: work continues when it is raised or its next period begins"));
+            document.why_not.insert(0, held_back(&asked.job.project));
         }
         Ok(document)
     }
@@ -129,7 +141,7 @@ impl<'a> Asking<'a> {
         question: &Question,
         there_is_time: &dyn Fn() -> bool,
     ) -> Result<(), AdvanceError> {
-        let &Self { farm, job, ref around, budget, .. } = self;
+        let &Self { snapshot, farm, job, ref around, budget, .. } = self;
         let mut left_out = Vec::new();
         let mut reach = |name: &str| {
             let reached = there_is_time();
@@ -170,7 +182,7 @@ impl<'a> Asking<'a> {
             document.pushes_back = pushed_back(farm, job)?;
         }
         if reach("what_if") {
-            document.what_if = effects(farm, job)?;
+            document.what_if = effects(snapshot, farm, job)?;
         }
         if is_cut_short {
             left_out.push("qualities".to_owned());
@@ -225,6 +237,11 @@ fn why_not(
     match (finish, asked.job.deadline.map(Timestamp::micros)) {
         (None, _) => reasons.push(if farm.nodes.is_empty() {
             "there is no node that takes work".to_owned()
+        } else if matches!(
+            entry.map(|entry| &entry.verdict),
+            Some(planner::Verdict::Unplaced { shared_cache: true, .. })
+        ) {
+            NO_ROOM_FOR_CACHE.to_owned()
         } else {
             "some of its frames do not fit into any node's free time".to_owned()
         }),
@@ -236,7 +253,7 @@ fn why_not(
             match entry.and_then(|entry| asked.finish(entry.bound.earliest_finish())) {
                 Some(bound) if bound > deadline => reasons.push(format!(
                     "with all free time of {} it ends at {} at the earliest",
-                    nodes(farm.nodes.len()),
+                    counted(farm.nodes.len(), "node"),
                     Timestamp::from_micros(bound)
                 )),
                 _ => {}
@@ -244,10 +261,10 @@ fn why_not(
             let short = plan.infeasible.iter().flat_map(|infeasible| &infeasible.short);
             for short in short.filter(|short| short.end - short.start >= SECOND) {
                 reasons.push(format!(
-                    "from {} to {} all of {} would be needed",
+                    "from {} to {} {} would be needed in full",
                     Timestamp::from_micros(short.start),
                     Timestamp::from_micros(short.end),
-                    nodes(short.nodes.len())
+                    counted(short.nodes.len(), "node")
                 ));
             }
             let mut holders: Vec<u64> = around
@@ -265,9 +282,9 @@ fn why_not(
                 .map(|other| other.job.name.as_str())
                 .collect();
             if !names.is_empty() {
-                let jobs =
-                    if holders.len() == 1 { "1 job is" } else { &format!("{} jobs are", holders.len()) };
-                reasons.push(format!("{jobs} booked before then: {}", names.join(", ")));
+                let are = if holders.len() == 1 { "is" } else { "are" };
+                let jobs = counted(holders.len(), "job");
+                reasons.push(format!("{jobs} {are} booked before then: {}", names.join(", ")));
             }
         }
         _ => {}
@@ -280,10 +297,6 @@ fn why_not(
             .push(format!("the cheapest plan found costs {} more than the budget has left", amount(above)));
     }
     reasons
-}
-
-fn nodes(count: usize) -> String {
-    if count == 1 { "1 node".to_owned() } else { format!("{count} nodes") }
 }
 
 fn amount(micro_units: i64) -> String {
@@ -306,7 +319,7 @@ fn pushed_back(farm: &Farm, job: usize) -> Result<Vec<MovedJob>, AdvanceError> {
 }
 
 /// Effects of one more node, one more hour and the loss of a node.
-fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
+fn effects(snapshot: &Snapshot, farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     let own = job as u64;
     let whole = farm.asked_whole(job, &farm.standing);
     let class = farm.input.jobs.get(job).map_or(0, |job| job.class);
@@ -320,18 +333,29 @@ fn effects(farm: &Farm, job: usize) -> Result<Vec<PlanEffect>, AdvanceError> {
     }
     changes.extend(busiest(farm, own).map(|node| Change::NodeGone { node, from: farm.input.now }));
     let before = planner::plan(&whole)?;
+    // More nodes do not help jobs whose bookings stay fixed. What it brings to plan all of them anew is no
+    // effect of the nodes.
+    let anew = |input: planner::Input| planner::plan(&planner::Input { movable: Vec::new(), ..input });
+    let before_anew = if whole.movable.is_empty() { before.clone() } else { anew(whole.clone())? };
     let mut found = Vec::new();
     for change in &changes {
-        let input = planner::changed(&whole, change)?;
-        // More nodes do not help jobs whose bookings stay fixed.
-        let more = matches!(change, Change::MoreNodes { .. });
-        let after = planner::plan(&planner::Input {
-            movable: if more { Vec::new() } else { input.movable.clone() },
-            ..input
-        })?;
-        let finish = end(farm, &after, job);
-        let in_time = farm.is_kept_after(change, job, finish);
-        let effect = planner::effect(change, &before, &after);
+        let (then, before, after) = match change {
+            Change::NodeGone { node, .. } => {
+                let Some(gone) = farm.nodes.get(*node as usize) else { continue };
+                let mut without = snapshot.clone();
+                take_away(&mut without, gone.id);
+                let without = Farm::new(&without);
+                let after = planner::plan(&farm.asked_after(&without, job))?;
+                (Some(without), &before, after)
+            }
+            Change::MoreNodes { .. } => (None, &before_anew, anew(planner::changed(&whole, change)?)?),
+            _ => (None, &before, planner::plan(&planner::changed(&whole, change)?)?),
+        };
+        // Jobs keep their places.
+        let then = then.as_ref().unwrap_or(farm);
+        let finish = end(then, &after, job);
+        let in_time = then.is_kept_after(change, job, finish);
+        let effect = planner::effect(change, before, &after);
         found.extend(farm.told(change, effect.added_cost, finish, in_time, &farm.moved(&effect, own), job));
     }
     Ok(found)
@@ -356,3 +380,6 @@ pub(crate) fn curve_svg(document: &AnswersDoc) -> Result<String, PlotError> {
     let offers: Vec<plots::Offer> = document.curve.iter().map(offer).collect();
     plots::price_curve(&offers, |micro_units| Money(micro_units).to_string())
 }
+
+#[cfg(test)]
+mod tests;

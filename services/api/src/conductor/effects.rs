@@ -5,7 +5,7 @@ use forelight_planner::{Change, Effect};
 use forelight_protocol::{Money, MovedJob, PlanChange, PlanEffect, Timestamp};
 
 use super::AdvanceError;
-use super::farm::{Farm, own_confidence};
+use super::farm::{Farm, confidence as planner_confidence, own_confidence};
 
 /// Most waiting frames of a farm that is small enough to be planned whole for a question.
 const SMALL: usize = 600;
@@ -18,12 +18,22 @@ impl From<planner::InputError> for AdvanceError {
 }
 
 impl Farm {
+    /// Whether questions about one job may move others.
+    fn is_small(&self, standing: &[planner::Booking]) -> bool {
+        standing.len() <= SMALL && self.jobs.len() <= FEW
+    }
+
     /// Planner input for a question that may move others. On a large farm only the job is planned.
     pub fn asked_whole(&self, job: usize, standing: &[planner::Booking]) -> planner::Input {
-        if standing.len() <= SMALL && self.jobs.len() <= FEW {
-            self.with_standing(standing)
+        if self.is_small(standing) { self.with_standing(standing) } else { self.around(job, standing) }
+    }
+
+    /// The same after a change of this farm to `changed`.
+    pub fn asked_after(&self, changed: &Farm, job: usize) -> planner::Input {
+        if self.is_small(&self.standing) {
+            changed.with_standing(&changed.standing)
         } else {
-            self.around(job, standing)
+            changed.around(job, &changed.standing)
         }
     }
 
@@ -135,7 +145,8 @@ impl Farm {
         }
         let later = moved.iter().filter(|other| other.later_ms > 0 && !other.breaks_promise).count();
         if later > 0 {
-            words += &format!("; {later} other jobs end later");
+            let end = if later == 1 { "ends" } else { "end" };
+            words += &format!("; {} {end} later", counted(later, "other job"));
         }
         Some(PlanEffect {
             change,
@@ -167,14 +178,18 @@ impl Farm {
                 (PlanChange::NodeGone { node_id: gone.id }, format!("without node {}", gone.name))
             }
             Change::Later { job: id, by } => {
-                let words = format!("the deadline{} {} later", whose(*id)?, duration(*by));
+                let way = if *by < 0 { "earlier" } else { "later" };
+                let by_how_much = duration(by.saturating_abs());
+                let words = format!("the deadline{} {by_how_much} {way}", whose(*id)?);
                 (PlanChange::Later { job_id: other(*id)?.id, by_ms: by / 1000 }, words)
             }
             Change::Confidence { job: id, confidence } => {
                 let per_cent = confidence.probability() * 100.0;
-                let words = format!("at a confidence{} of {per_cent:.0} % only", whose(*id)?);
+                let job = other(*id)?;
+                let only = if *confidence < planner_confidence(job.confidence) { " only" } else { "" };
+                let words = format!("at a confidence{} of {per_cent:.0} %{only}", whose(*id)?);
                 let confidence = own_confidence(*confidence);
-                (PlanChange::Confidence { job_id: other(*id)?.id, confidence }, words)
+                (PlanChange::Confidence { job_id: job.id, confidence }, words)
             }
             Change::MakeWay { job: id } => {
                 let other = other(*id)?;
@@ -199,12 +214,17 @@ pub(crate) fn priced(micro_units: i64) -> String {
     }
 }
 
+/// `1 node`, `2 nodes`.
+pub(crate) fn counted(count: usize, noun: &str) -> String {
+    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
+
+/// `the only node`, `all 2 nodes`.
+pub(crate) fn all_nodes(count: usize) -> String {
+    if count == 1 { "the only node".to_owned() } else { format!("all {count} nodes") }
+}
+
 /// A duration for people, from microseconds.
 pub(crate) fn duration(micros: i64) -> String {
-    let seconds = micros / 1_000_000;
-    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
-        (0, 0, seconds) => format!("{seconds} s"),
-        (0, minutes, seconds) => format!("{minutes} min {seconds} s"),
-        (hours, minutes, _) => format!("{hours} h {minutes} min"),
-    }
+    forelight_protocol::duration_in_words(micros / 1_000_000)
 }

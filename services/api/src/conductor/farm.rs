@@ -88,6 +88,8 @@ pub(crate) struct Asked {
     pub under_way_in_time: f64,
     /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
+    /// Whether a budget holds it back. Its tasks are not handed out, so it takes time from nobody: its
+    /// bookings do not stand, and it is planned behind all others.
     pub held: bool,
     /// Version of its terms, see [`FarmJob::terms`].
     pub terms: i64,
@@ -109,6 +111,11 @@ impl Asked {
     /// End of the job, if a plan ends its waiting frames at `planned`.
     pub fn finish(&self, planned: Option<i64>) -> Option<i64> {
         planned.map(|planned| self.under_way.map_or(planned, |end| end.max(planned)))
+    }
+
+    /// Whether the plan has to keep its deadline. That of a job that a budget holds waits for the budget.
+    pub fn binds(&self) -> bool {
+        self.is_promised() && !self.held
     }
 
     /// Whether that end keeps the deadline. Without a deadline, whether there is an end.
@@ -164,7 +171,7 @@ impl Farm {
             jobs,
             ..planner::Input::default()
         };
-        let standing = standing(&input, &snapshot.projected.frames, &index, &places);
+        let standing = standing(&input, &snapshot.projected.frames, &index, &places, &asked);
         let booked = booked(&snapshot.projected.frames, &index, &places);
         Self { input, standing, booked, nodes: snapshot.nodes.clone(), jobs: asked }
     }
@@ -249,8 +256,8 @@ fn planner_job(
         name: job.name.clone(),
         project,
         release: release.micros(),
-        deadline: job.deadline.map(Timestamp::micros),
-        priority: job.priority,
+        deadline: job.deadline.map(Timestamp::micros).filter(|_| !asked.held),
+        priority: if asked.held { i32::MIN } else { job.priority },
         weight: job.weight,
         confidence: confidence(job.confidence),
         total: total(&times(&forecast.total.cpu_seconds, factor).plus(&Quantiles::known(of_parts))),
@@ -338,7 +345,9 @@ fn under_way(
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
 ) -> Vec<FixedBooking> {
-    let parts = snapshot.projected.cache_parts.iter().filter_map(|part| {
+    let held = |job: JobId| snapshot.jobs.iter().any(|other| other.job.id == job && other.held);
+    let parts = snapshot.projected.cache_parts.iter();
+    let parts = parts.filter(|part| part.under_way || !held(part.booking.job_id)).filter_map(|part| {
         let node = *nodes.get(&part.node_id)?;
         let (start, end) = (part.start.micros(), part.end.micros());
         let job = jobs.get(&part.booking.job_id).copied();
@@ -359,13 +368,14 @@ fn under_way(
         .collect()
 }
 
-/// Expected bookings of waiting frames. Each starts no earlier than booked and than the previous one's end,
-/// in the same order, and lasts as long as its node now needs.
+/// Expected bookings of waiting frames of jobs that no budget holds. Each starts no earlier than booked and
+/// than the previous one's end, in the same order, and lasts as long as its node now needs.
 fn standing(
     input: &planner::Input,
     projected: &[Projected],
     nodes: &BTreeMap<NodeId, u64>,
     jobs: &BTreeMap<JobId, u64>,
+    asked: &[Asked],
 ) -> Vec<planner::Booking> {
     let work: Vec<BTreeMap<i64, u64>> = input.jobs.iter().map(|job| job.open_work().collect()).collect();
     let mut free_from: BTreeMap<u64, i64> = BTreeMap::new();
@@ -378,6 +388,9 @@ fn standing(
         let Some((&node, &job)) = nodes.get(&frame.node_id).zip(jobs.get(&frame.booking.job_id)) else {
             continue;
         };
+        if asked[job as usize].held {
+            continue;
+        }
         let number = number(frame.booking.frame_part());
         let duration = work[job as usize]
             .get(&number)
@@ -447,7 +460,8 @@ fn planner_frame(
 ) -> planner::Frame {
     let (p50, p80) = (each.p50 * each.share, each.p80 * each.share);
     let own = if each.frame.parts > 1 { overhead } else { 0.0 };
-    let frame = frame(number(each.frame), p50 * factor + own, p80 * factor + own);
+    let mut frame = frame(number(each.frame), p50 * factor + own, p80 * factor + own);
+    frame.part_of = (each.frame.parts > 1).then_some(i64::from(each.frame.frame));
     if !each.untouched {
         return frame;
     }

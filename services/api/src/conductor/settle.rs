@@ -18,7 +18,7 @@ use forelight_protocol::{
 use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
 
 use super::AdvanceError;
-use super::effects::duration;
+use super::effects::{all_nodes, duration};
 use super::farm::{Asked, Farm, with_spent};
 use super::numbers::frame_part;
 use super::risks::{Risk, risks};
@@ -66,9 +66,12 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let says_new = |(job, said): (usize, &JobVerdict)| {
         let asked = &farm.jobs[job];
         let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
-        let is_new =
-            fresh == Some(job) || asked.has_new_terms || says_new || asked.factor != asked.factor_before;
-        is_new || has_moved(&before[job], &after[job])
+        let is_asked = fresh == Some(job) || asked.has_new_terms;
+        if asked.held {
+            // Its bookings stay until another job needs the time. It goes on there when the budget lets it.
+            return is_asked;
+        }
+        is_asked || says_new || asked.factor != asked.factor_before || has_moved(&before[job], &after[job])
     };
     let news: Vec<bool> = verdicts.iter().enumerate().map(says_new).collect();
     let booked_anew = make_way(&farm.booked, &plan.bookings, news);
@@ -85,7 +88,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         if !booked_anew[job] {
             continue;
         }
-        if said.verdict != Verdict::OnTime && helped < MOST_HELPED {
+        if said.verdict != Verdict::OnTime && helped < MOST_HELPED && !asked.held {
             helped += 1;
             let within_budget = said.verdict != Verdict::OverBudget;
             said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
@@ -131,11 +134,11 @@ fn least_moved(
     let mended = planner::mend(&farm.input, &promises(farm, standing))?;
     let broken = |plan: &planner::Plan| {
         let misses = |job: usize| !farm.jobs[job].is_kept(end(farm, plan, job));
-        let promised =
-            (0..farm.jobs.len()).filter(|&job| farm.jobs[job].is_promised() && misses(job)).count();
+        let promised = (0..farm.jobs.len()).filter(|&job| farm.jobs[job].binds() && misses(job)).count();
         // A deadline that was just asked for counts like that of a new job.
         let asked_for =
             (0..farm.jobs.len()).filter(|&job| fresh == Some(job) || farm.jobs[job].has_new_terms);
+        let asked_for = asked_for.filter(|&job| !farm.jobs[job].held);
         (promised, asked_for.into_iter().any(misses))
     };
     let found = broken(&mended.plan);
@@ -156,7 +159,7 @@ fn least_moved(
 fn promises(farm: &Farm, standing: &[Booking]) -> planner::Plan {
     let promised = |job: usize| planner::JobPlan {
         job: job as u64,
-        verdict: if farm.jobs[job].is_promised() {
+        verdict: if farm.jobs[job].binds() {
             planner::Verdict::Feasible { finish: farm.input.now, slack: 0 }
         } else {
             planner::Verdict::Unplaced { frames: Vec::new(), shared_cache: false }
@@ -248,10 +251,11 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
             let bound = entry.and_then(|entry| asked.finish(entry.bound.earliest_finish()));
             reasons.push(match bound.filter(|&bound| bound > deadline.micros()) {
                 Some(bound) => format!(
-                    "no plan can be in time: with all {} nodes to itself it ends at {} at the earliest",
-                    farm.nodes.len(),
+                    "no plan can be in time: with {} to itself it ends at {} at the earliest",
+                    all_nodes(farm.nodes.len()),
                     Timestamp::from_micros(bound)
                 ),
+                None if asked.held => held_back(&asked.job.project),
                 None => in_the_way(farm, plan, asked, finish),
             });
             Verdict::Late
@@ -293,12 +297,26 @@ fn unplaced(farm: &Farm, renderer: Option<&RendererRequest>, entry: Option<&plan
         {
             format!("no node that takes work has {renderer}")
         }
+        Some(planner::Verdict::Unplaced { shared_cache: true, .. }) => NO_ROOM_FOR_CACHE.to_owned(),
+        Some(planner::Verdict::Unplaced { frames, .. }) if frames.len() == 1 => {
+            "1 frame does not fit into any node's free time".to_owned()
+        }
         Some(planner::Verdict::Unplaced { frames, .. }) => {
             format!("{} frames do not fit into any node's free time", frames.len())
         }
         _ => "the plan has no free node for it".to_owned(),
     }
 }
+
+/// Reason why a job is late that waits for its project's budget.
+pub(crate) fn held_back(project: &str) -> String {
+    format!(
+        "the budget of project {project} is used up: work continues when it is raised or its next period begins"
+    )
+}
+
+/// Reason why a job has no end whose frames wait for a shared cache.
+pub(crate) const NO_ROOM_FOR_CACHE: &str = "its shared cache does not fit into any node's free time";
 
 /// How a reason begins that names other jobs.
 pub(crate) const IN_THE_WAY: &str = "what is booked already stands in the way";
@@ -394,8 +412,9 @@ fn waits(
         } else if let Some(reason) = explained.get(&(job as u64)) {
             let (kind, behind) = match reason {
                 Reason::NoNode => (WaitKind::Node, Vec::new()),
-                Reason::Calendar { .. } => (WaitKind::Calendar, Vec::new()),
+                Reason::Calendar { .. } | Reason::NoRoom { .. } => (WaitKind::Calendar, Vec::new()),
                 Reason::Behind { jobs } => (WaitKind::Others, jobs.clone()),
+                Reason::Sooner | Reason::Booked => (WaitKind::Others, Vec::new()),
                 Reason::Cheaper => (WaitKind::Cheaper, Vec::new()),
             };
             let because = match reason {
@@ -452,24 +471,4 @@ pub(crate) fn share_of(project: &planner::Project, now: i64) -> ProjectShare {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use forelight_planner::Task;
-
-    fn bookings<const N: usize>(all: [(u64, u64, i64, i64); N]) -> Vec<Booking> {
-        let one =
-            |(frame, (job, node, start, end))| Booking { start, node, job, task: Task::Frame(frame), end };
-        (0..).zip(all).map(one).collect()
-    }
-
-    #[test]
-    fn who_lies_where_another_is_booked_now_is_booked_anew_and_so_on() {
-        // Job 3 is new at 0. Job 0 makes way for it, and job 1 for job 0. Job 2 has its own node.
-        let booked = bookings([(0, 0, 0, 10), (1, 0, 10, 20), (2, 1, 0, 20)]);
-        let planned = bookings([(3, 0, 0, 10), (0, 0, 10, 20), (1, 0, 20, 30), (2, 1, 0, 20)]);
-        let anew = make_way(&booked, &planned, vec![false, false, false, true]);
-        assert_eq!(anew, [true, true, false, true]);
-        let planned = bookings([(3, 0, 20, 30), (0, 0, 1, 11), (1, 0, 11, 20), (2, 1, 0, 20)]);
-        assert_eq!(make_way(&booked, &planned, vec![false, false, false, true]), [false, false, false, true]);
-    }
-}
+mod tests;

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use forelight_planner as planner;
 use forelight_planner::Change;
 use forelight_protocol::{
-    AccuracyRung, FramePart, JobId, MovedJob, NodeId, PlanChange, Promise, VerdictChange, WhatIf,
+    AccuracyRung, FramePart, JobId, MovedJob, NodeId, PlanChange, Promise, Timestamp, VerdictChange, WhatIf,
 };
 use forelight_store::FarmJob;
 
@@ -135,8 +135,8 @@ fn apply(farm: &mut Snapshot, change: &PlanChange) -> Result<(), String> {
     Ok(())
 }
 
-/// Takes a node away. Frames under way on it wait again.
-fn take_away(farm: &mut Snapshot, node: NodeId) {
+/// Takes a node away. Frames under way on it wait again. Parts of caches begin again on other nodes.
+pub(crate) fn take_away(farm: &mut Snapshot, node: NodeId) {
     let lost = farm.projected.frames.iter().filter(|frame| frame.under_way && frame.node_id == node);
     let lost: BTreeSet<(JobId, FramePart)> =
         lost.map(|frame| (frame.booking.job_id, frame.booking.frame_part())).collect();
@@ -147,6 +147,37 @@ fn take_away(farm: &mut Snapshot, node: NodeId) {
     }
     farm.projected.frames.retain(|frame| frame.node_id != node);
     farm.nodes.retain(|other| other.id != node);
+    move_cache_parts(farm, node);
+}
+
+/// Books the parts of caches of a lost node elsewhere: each where its job works already, or else on any node,
+/// behind what workers have there.
+fn move_cache_parts(farm: &mut Snapshot, lost: NodeId) {
+    let now = farm.now;
+    let mut free_from: BTreeMap<NodeId, Timestamp> = farm.nodes.iter().map(|node| (node.id, now)).collect();
+    let mut nodes_of: BTreeSet<(JobId, NodeId)> = BTreeSet::new();
+    let frames = farm.projected.frames.iter();
+    let frames = frames.map(|frame| (frame.booking.job_id, frame.node_id, frame.end, frame.under_way));
+    // Parts stay in front of the frames that wait.
+    let parts = farm.projected.cache_parts.iter();
+    let parts = parts.map(|part| (part.booking.job_id, part.node_id, part.end, true));
+    for (job, node, end, is_ahead) in frames.chain(parts) {
+        if let Some(free) = free_from.get_mut(&node) {
+            nodes_of.insert((job, node));
+            *free = if is_ahead { (*free).max(end) } else { *free };
+        }
+    }
+    for part in farm.projected.cache_parts.iter_mut().filter(|part| part.node_id == lost) {
+        let is_known = |node: NodeId| nodes_of.contains(&(part.booking.job_id, node));
+        let place = free_from.iter_mut().min_by_key(|(node, free)| (!is_known(**node), **free));
+        let Some((&node, free)) = place else { return };
+        // What was filled of a part under way is lost, at most the round.
+        let start = if part.under_way { *free } else { part.start.max(*free) };
+        part.attempt = None;
+        (part.node_id, part.start, part.end) = (node, start, start.plus_micros(part.length));
+        (part.under_way, *free) = (false, part.end);
+    }
+    farm.projected.cache_parts.sort_by_key(|part| (part.start, part.node_id, part.booking.job_id));
 }
 
 fn node_place(nodes: &[forelight_protocol::Node], node: NodeId) -> Result<usize, String> {

@@ -14,7 +14,7 @@ use utoipa::IntoParams;
 
 use crate::conductor::answers::{Question, answers, curve_svg};
 use crate::conductor::book::quoted;
-use crate::conductor::farm::{Farm, Snapshot};
+use crate::conductor::farm::Snapshot;
 use crate::conductor::job_profile::JobProfile;
 use crate::conductor::what_if::what_if;
 use crate::conductor::{AdvanceError, compute};
@@ -108,11 +108,7 @@ async fn found(app: &App, asked: Job, query: &AnswersQuery) -> ApiResult<Answers
     let rungs = rungs(app, &asked).await?;
     let question =
         Question { deadline: query.deadline, budget: query.budget.map(Money), rungs, patience: PATIENCE };
-    let answered = compute(move || {
-        let farm = Farm::new(&snapshot);
-        farm.place(job).map(|place| answers(&farm, place, &question)).transpose()
-    });
-    match answered.await.map_err(refused)? {
+    match compute(move || answers(snapshot, job, &question)).await.map_err(refused)? {
         Some(document) => Ok(AnswersDoc { plan_id, ..document }),
         None => Err(ApiError::new(ProblemKind::Conflict, "the job ended in the meantime")),
     }

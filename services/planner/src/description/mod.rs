@@ -189,7 +189,13 @@ fn job(
     let mut frames = Vec::with_capacity(listed.len());
     for (number, hours) in listed {
         let p80 = work(hours * entry.frame_spread * entry.spread, "hours")?;
-        frames.push(Frame { number, work: work(hours, "hours")?, work_p80: p80, division });
+        frames.push(Frame {
+            number,
+            work: work(hours, "hours")?,
+            work_p80: p80,
+            division,
+            ..Frame::default()
+        });
     }
     let p50 = frames.iter().fold(0u64, |sum, frame| sum.saturating_add(frame.work));
     // For a lognormal factor: z of 95 % over z of 80 %.

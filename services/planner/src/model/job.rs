@@ -60,6 +60,9 @@ pub struct Frame {
     pub work_p80: u64,
     /// Whether it may be divided.
     pub division: Division,
+    /// The frame that it is a part of, if it is one that was divided before. Parts of one frame take longer
+    /// or shorter than forecast together.
+    pub part_of: Option<i64>,
 }
 
 /// How a frame may be divided into parts that different nodes render at the same time. All parts of a frame

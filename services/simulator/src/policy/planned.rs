@@ -252,7 +252,7 @@ impl Planned {
             }
             // Parts of a divided frame are frames of their own for the planner.
             let work = bought(task.median, factor);
-            frames.push(Frame { number: place as i64, work, work_p80: 0, division: task.division });
+            frames.push(Frame { number: place as i64, work, division: task.division, ..Frame::default() });
         }
         if frames.is_empty() && shared_cache.is_none() {
             return None;

@@ -1,13 +1,18 @@
 //! Bookings of frames, and of parts of frames, that are not rendered yet.
 
-use forelight_protocol::{Booking, BookingId, JobId, Timestamp};
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+
+use forelight_protocol::{Booking, BookingId, ByClass, JobId, Node, NodeId, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Time};
 use crate::database::Store;
 use crate::error::Result;
+use crate::nodes::read_any;
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenBooking};
+use crate::tasks::rates;
 
 /// A booking with its task.
 struct Row {
@@ -105,11 +110,58 @@ impl Store {
 }
 
 pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenBooking>> {
-    let rows = rows!("ORDER BY b.start_at, b.id").fetch_all(connection).await?;
-    Ok(rows.into_iter().map(OpenBooking::from).collect())
+    let rows = rows!("ORDER BY b.start_at, b.id").fetch_all(&mut *connection).await?;
+    with_slowness(connection, rows).await
 }
 
 pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenBooking>> {
-    let rows = rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0).fetch_all(connection).await?;
-    Ok(rows.into_iter().map(OpenBooking::from).collect())
+    let rows = rows!("AND j.id = ? ORDER BY b.start_at, b.id", job.0).fetch_all(&mut *connection).await?;
+    with_slowness(connection, rows).await
+}
+
+async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Result<Vec<OpenBooking>> {
+    let mut bookings: Vec<OpenBooking> = rows.into_iter().map(OpenBooking::from).collect();
+    let mut speeds = Speeds::default();
+    for OpenBooking { booking, holder } in &mut bookings {
+        if let Some(holder) = holder {
+            let nodes = (booking.node_id, holder.node_id);
+            holder.slowness = speeds.slowness(connection, booking.job_id, nodes).await?;
+        }
+    }
+    Ok(bookings)
+}
+
+/// Speeds of nodes for the work of jobs, each read once.
+#[derive(Default)]
+pub(crate) struct Speeds {
+    nodes: BTreeMap<NodeId, Node>,
+    work: BTreeMap<JobId, Option<ByClass>>,
+}
+
+impl Speeds {
+    /// How many times as long the job's work takes on the second of these nodes as on the first.
+    pub async fn slowness(
+        &mut self,
+        connection: &mut SqliteConnection,
+        job: JobId,
+        (booked, holder): (NodeId, NodeId),
+    ) -> Result<f64> {
+        if booked == holder {
+            return Ok(1.0);
+        }
+        let work = match self.work.entry(job) {
+            Entry::Occupied(known) => *known.get(),
+            Entry::Vacant(unknown) => *unknown.insert(rates(connection, job).await?.work),
+        };
+        let mut speeds = [0.0; 2];
+        for (speed, id) in speeds.iter_mut().zip([booked, holder]) {
+            let node = match self.nodes.entry(id) {
+                Entry::Occupied(known) => known.into_mut(),
+                Entry::Vacant(unknown) => unknown.insert(read_any(connection, id).await?),
+            };
+            *speed = node.speed_for(work.as_ref()) * f64::from(node.cores);
+        }
+        let slowness = speeds[0] / speeds[1];
+        Ok(if slowness.is_finite() && slowness > 0.0 { slowness } else { 1.0 })
+    }
 }

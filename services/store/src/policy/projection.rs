@@ -28,11 +28,18 @@ pub struct Holder {
     pub started: Timestamp,
     /// What is known of its attempt.
     pub attempt: TaskAttempt,
+    /// How many times as long the work takes on its node as on the booked one.
+    pub slowness: f64,
 }
 
 impl Holder {
     pub(crate) fn new(node_id: NodeId, times: AttemptTimes, progress: f64, p95: Option<i64>) -> Self {
-        Self { node_id, started: times.began, attempt: times.attempt(progress, p95) }
+        Self { node_id, started: times.began, attempt: times.attempt(progress, p95), slowness: 1.0 }
+    }
+
+    /// Microseconds that the work takes there that was booked for so many.
+    fn length(&self, booked: i64) -> i64 {
+        ((booked as f64 * self.slowness).ceil() as i64).max(1)
     }
 }
 
@@ -63,6 +70,8 @@ pub struct Projected<B = Booking> {
     pub under_way: bool,
     /// What is known of that worker's attempt.
     pub attempt: Option<TaskAttempt>,
+    /// Microseconds that it takes on its node.
+    pub length: i64,
 }
 
 /// When and where a part of a cache is expected to be filled.
@@ -101,13 +110,14 @@ struct Busy {
 }
 
 impl Busy {
-    /// Work of `length` booked microseconds that a worker has.
-    fn under_way<B>(&mut self, booking: B, length: i64, holder: &Holder) -> Projected<B> {
+    /// Work of so many booked microseconds that a worker has.
+    fn under_way<B>(&mut self, booking: B, booked: i64, holder: &Holder) -> Projected<B> {
         let &Holder { node_id, started: start, .. } = holder;
+        let length = holder.length(booked);
         let end = holder.attempt.expected_end(length, self.now);
         let free = self.free_from.entry(node_id).or_insert(self.now);
         *free = (*free).max(end);
-        Projected { booking, node_id, start, end, under_way: true, attempt: Some(holder.attempt) }
+        Projected { booking, node_id, start, end, under_way: true, attempt: Some(holder.attempt), length }
     }
 
     /// Work of `length` microseconds that waits: not before its booked start, and not before what is ahead of
@@ -117,7 +127,7 @@ impl Busy {
         let start = start.max(*free);
         let end = start.plus_micros(length);
         *free = end;
-        Projected { booking, node_id, start, end, under_way: false, attempt: None }
+        Projected { booking, node_id, start, end, under_way: false, attempt: None, length }
     }
 
     /// The job's cache is not full before this part is filled.
@@ -137,14 +147,14 @@ pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) ->
     let mut projection = Projection::default();
     for OpenBooking { booking, holder } in open {
         if let Some(holder) = holder {
-            let length = booking.end.micros_since(booking.start);
-            projection.frames.push(busy.under_way(booking.clone(), length, holder));
+            let booked = booking.end.micros_since(booking.start);
+            projection.frames.push(busy.under_way(booking.clone(), booked, holder));
         }
     }
     for OpenCachePart { booking, holder, .. } in parts {
         if let Some(holder) = holder {
-            let length = booking.end.micros_since(booking.start);
-            let part = busy.under_way(booking.clone(), length, holder);
+            let booked = booking.end.micros_since(booking.start);
+            let part = busy.under_way(booking.clone(), booked, holder);
             busy.fills(&part);
             projection.cache_parts.push(part);
         }
@@ -204,8 +214,7 @@ impl Projected {
     /// Probability that the frame is done by `deadline`, given what its attempt has shown by `now`. One that
     /// waits has none of its own.
     pub fn chance(&self, deadline: Timestamp, now: Timestamp) -> Option<f64> {
-        let length = self.booking.end.micros_since(self.booking.start);
-        Some(self.attempt?.chance(length, deadline, now))
+        Some(self.attempt?.chance(self.length, deadline, now))
     }
 }
 
@@ -324,7 +333,7 @@ mod tests {
         fn held(&self, node: usize, started: i64, progress: f64) -> Option<Holder> {
             let (since, p95) = (at(started), Some(12_000_000));
             let attempt = TaskAttempt { since, progress, sign: since, p95 };
-            Some(Holder { node_id: self.nodes[node], started: since, attempt })
+            Some(Holder { node_id: self.nodes[node], started: since, attempt, slowness: 1.0 })
         }
     }
 
@@ -349,6 +358,17 @@ mod tests {
         assert_eq!(times(&found), [(0, 0, 70), (2, 30, 40), (1, 70, 80)]);
         assert_eq!(found.finish_of(farm.job), Some(at(80)));
         assert_eq!(times(&project(&stretched(&open[1..2], 1.5), &[], at(0))), [(1, 10, 25)]);
+    }
+
+    #[test]
+    fn a_frame_takes_as_long_as_its_holder_needs_and_not_the_node_that_it_was_booked_on() {
+        let farm = Farm::new();
+        let slow = farm.held(1, 0, 0.0).map(|holder| Holder { slowness: 3.0, ..holder });
+        let open = [farm.frame(0, 0, (0, 10), slow), farm.frame(1, 1, (5, 15), None)];
+        let found = project(&open, &[], at(0));
+        assert_eq!(times(&found), [(0, 0, 30), (1, 30, 40)]);
+        let chance = |deadline| found.frames[0].chance(at(deadline), at(0)).unwrap();
+        assert!(chance(15) < 0.1 && chance(60) > 0.9, "{} {}", chance(15), chance(60));
     }
 
     #[test]

@@ -10,6 +10,7 @@ use sqlx::SqliteConnection;
 use crate::columns::{Id, Json, Time, hex_list};
 use crate::database::{Store, Write};
 use crate::error::Result;
+use crate::plans::bookings::Speeds;
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
@@ -101,13 +102,25 @@ macro_rules! rows {
 }
 
 pub(crate) async fn open(connection: &mut SqliteConnection) -> Result<Vec<OpenCachePart>> {
-    let rows = rows!("").fetch_all(connection).await?;
-    Ok(rows.into_iter().map(OpenCachePart::from).collect())
+    let rows = rows!("").fetch_all(&mut *connection).await?;
+    with_slowness(connection, rows).await
 }
 
 pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Result<Vec<OpenCachePart>> {
-    let rows = rows!("AND j.id = ?", job.0).fetch_all(connection).await?;
-    Ok(rows.into_iter().map(OpenCachePart::from).collect())
+    let rows = rows!("AND j.id = ?", job.0).fetch_all(&mut *connection).await?;
+    with_slowness(connection, rows).await
+}
+
+async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Result<Vec<OpenCachePart>> {
+    let mut parts: Vec<OpenCachePart> = rows.into_iter().map(OpenCachePart::from).collect();
+    let mut speeds = Speeds::default();
+    for OpenCachePart { booking, holder, .. } in &mut parts {
+        if let Some(holder) = holder {
+            let nodes = (booking.node_id, holder.node_id);
+            holder.slowness = speeds.slowness(connection, booking.job_id, nodes).await?;
+        }
+    }
+    Ok(parts)
 }
 
 /// The bookings of a plan, by start.

@@ -77,7 +77,7 @@ async fn open_bookings_are_those_of_frames_not_yet_rendered() {
     let open = farm.store.open_bookings().await.unwrap();
     // 5 CPU seconds in 19 of 20 cases, at speed 2.
     let attempt = TaskAttempt { since: at(21), progress: 0.25, sign: at(22), p95: Some(2_500_000) };
-    let holder = Holder { node_id: node.id, started: at(21), attempt };
+    let holder = Holder { node_id: node.id, started: at(21), attempt, slowness: 1.0 };
     let seen: Vec<_> = open.iter().map(|open| (open.booking.frame, open.holder)).collect();
     assert_eq!(seen, [(1, Some(holder)), (2, None)]);
     let page = farm
@@ -156,7 +156,8 @@ fn late_bookings_are_pushed_back_one_behind_the_other_and_punctual_ones_stay() {
 fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_now() {
     let holder = |node: u128, started, progress| {
         let attempt = TaskAttempt { since: at(started), progress, sign: at(50), p95: Some(120 * SECOND) };
-        Some(Holder { node_id: NodeId(uuid::Uuid::from_u128(node)), started: at(started), attempt })
+        let node_id = NodeId(uuid::Uuid::from_u128(node));
+        Some(Holder { node_id, started: at(started), attempt, slowness: 1.0 })
     };
     let open = [
         OpenBooking { booking: booking(0, 1, 0, 100), holder: holder(2, 0, 0.5) },
@@ -185,7 +186,7 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
         [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
     // Node 3 is half through the second half of its part. The part on node 2 is done with one of two rounds.
     let attempt = TaskAttempt { since: at(10), progress: 0.75, sign: at(20), p95: None };
-    let held = Holder { node_id: node(3), started: at(10), attempt };
+    let held = Holder { node_id: node(3), started: at(10), attempt, slowness: 1.0 };
     let parts = [
         OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
         OpenCachePart { booking: part(1, 2, 0, 20), done: 0.5, holder: None },

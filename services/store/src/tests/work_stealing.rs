@@ -135,6 +135,28 @@ async fn what_a_node_costs_is_what_it_costs_for_the_jobs_class_of_work() {
 }
 
 #[tokio::test]
+async fn a_frame_that_another_node_took_is_expected_when_that_one_is_done_with_it() {
+    let farm = Farm::new().await;
+    let booked = farm.register(&priced("booked", 1)).await;
+    let memory_picos = ByClass { memory: 4000, ..ByClass::from_array([1000; ByClass::CLASSES]) };
+    let calibration = NodeCalibration { picos_per_work: memory_picos, kernels: Vec::new() };
+    let capabilities = Capabilities { calibration: Some(calibration), ..Capabilities::default() };
+    let slow = farm.register(&NodeRegistration { capabilities, ..priced("slow", 1) }).await;
+    let work = ByClass { memory: 100, ..ByClass::default() };
+    let forecast = JobForecast { work_by_class: Some(work), ..job_forecast() };
+    let job = farm.quoted_job(request("0"), booked.id, at(0), &forecast, None).await;
+    assert_eq!(farm.frames_for(&slow, at(0)).await, [(job, 0)]);
+    let open = farm.store.open_bookings().await.unwrap();
+    let times_as_long = booked.speed_for(Some(&work)) / slow.speed_for(Some(&work));
+    assert!(times_as_long > 2.0, "{times_as_long}");
+    assert!((open[0].holder.unwrap().slowness - times_as_long).abs() < 1e-9, "{open:?}");
+    // It was booked for ten seconds.
+    let expected = (10.0 * times_as_long) as i64;
+    let projected = crate::project(&open, &[], at(1));
+    assert_eq!(projected.finish_of(job).map(|end| end.micros_since(at(0)) / 1_000_000), Some(expected));
+}
+
+#[tokio::test]
 async fn a_budget_alone_binds_idle_nodes_too_and_a_job_with_neither_is_for_everybody() {
     let farm = Farm::new().await;
     let cheap = farm.register(&priced("cheap", 1)).await;
