@@ -2,6 +2,7 @@
 
 use forelight_protocol::{CachePrice, CacheQuote, SharedCacheForecast};
 use forelight_terminal::quantities::{count, money, seconds};
+use forelight_terminal::words::counted;
 
 /// One cache for all frames or one for each, the reason, and both prices.
 pub fn ways(cache: &CacheQuote) -> String {
@@ -24,7 +25,7 @@ pub fn ways(cache: &CacheQuote) -> String {
 
 /// The shared cache, made before the frames. Without a newline.
 pub fn shared(cache: &SharedCacheForecast) -> String {
-    let parts = if cache.parts == 1 { "one part".to_owned() } else { format!("{} parts", cache.parts) };
+    let parts = counted(cache.parts, "part");
     let cpu = seconds(cache.cpu_seconds.mean);
     format!("cache      {cpu} CPU time forecast in {parts}, before the frames")
 }

@@ -1,5 +1,6 @@
 //! The connection to the service, from flags and environment.
 
+use crate::data_folder;
 use anyhow::{Context, Result};
 use clap::Args;
 use forelight_client::{Client, Token};
@@ -38,6 +39,11 @@ impl ServerOptions {
         };
         client.map_err(|error| BadInput::new(error.to_string()).into())
     }
+
+    /// Whether a flag names the service, and not the environment.
+    pub fn is_named_by_flag(&self) -> bool {
+        self.server != LOCAL && std::env::var("FORELIGHT_SERVER").ok().as_ref() != Some(&self.server)
+    }
 }
 
 #[derive(Debug, Clone, Args)]
@@ -66,10 +72,15 @@ pub struct Credentials {
 /// A client with the token from --token-file, else --token, else the farm's data folder.
 pub fn connect(options: &ConnectionOptions) -> Result<Client> {
     let Credentials { token_file, token, data } = &options.credentials;
+    // A variable that is set to nothing gives no token.
+    let token = token.as_ref().filter(|text| !text.trim().is_empty());
     let token = match (token_file, token, data) {
         (Some(file), _, _) => read_token(file)?,
         (None, Some(text), _) => Token::new(text),
-        (None, None, Some(data)) => read_token(&data.join(OPERATOR_TOKEN))?,
+        (None, None, Some(data)) => {
+            data_folder::check("--data", data)?;
+            read_token(&data.join(OPERATOR_TOKEN))?
+        }
         (None, None, None) => {
             return Err(BadInput::new("no token was given")
                 .hint("set FORELIGHT_TOKEN, or name a token file with --token-file or the farm's folder with --data")
@@ -84,4 +95,32 @@ pub fn read_token(path: &Path) -> Result<Token> {
     Token::in_file(path)
         .with_context(|| format!("cannot read the token file {}", path.display()))?
         .with_context(|| BadInput::new(format!("{}: the file does not contain a token", path.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_terminal::options::parsed;
+
+    fn refused(words: &[&str]) -> anyhow::Error {
+        let words = ["forelight"].iter().chain(words).copied();
+        connect(&parsed::<ConnectionOptions>(words)).expect_err("it is refused")
+    }
+
+    #[test]
+    fn who_asks_is_said_before_the_service_is_asked() {
+        let folder = tempfile::tempdir().unwrap();
+        let missing = folder.path().join("none").display().to_string();
+        for (words, said) in [
+            (&["--token", ""][..], "no token was given"),
+            (&["--data", &missing], "none: this folder does not exist"),
+            (&["--token-file", &missing], "cannot read the token file"),
+            (&["--token", "t", "--server", "127.0.0.1:7878"], "it must begin with http:// or https://"),
+            (&["--token", "t", "--server", "farm:7878"], "it must begin with http:// or https://"),
+        ] {
+            let error = refused(words);
+            assert!(error.to_string().contains(said), "{words:?}: {error}");
+            assert_eq!(crate::failure::exit_code(&error), 2, "{words:?}");
+        }
+    }
 }

@@ -20,6 +20,11 @@ pub fn png_file(text: &str) -> Result<PathBuf, String> {
     file_with_ending(text, "a PNG", "png")
 }
 
+/// Parses the name of an SVG file to write.
+pub fn svg_file(text: &str) -> Result<PathBuf, String> {
+    file_with_ending(text, "an SVG", "svg")
+}
+
 /// Parses the name of an MP4 file to write.
 pub fn mp4_file(text: &str) -> Result<PathBuf, String> {
     file_with_ending(text, "an MP4", "mp4")

@@ -2,16 +2,17 @@
 //! it.
 
 mod archive;
+mod arguments;
 mod caches;
 mod commands;
 mod connection;
 mod contact_sheet;
+mod data_folder;
 mod failure;
 mod job_options;
 mod named;
 mod storage;
 
-use clap::Parser;
 use forelight_terminal::foreign_text::log_fields;
 use std::io::{IsTerminal, Write as _};
 use std::process::ExitCode;
@@ -21,7 +22,7 @@ use tracing_subscriber::EnvFilter;
 /// The whole program, which ends with this code.
 pub fn main() -> ExitCode {
     quiet_display_lookup();
-    let cli = commands::Cli::parse();
+    let (cli, flags) = arguments::read();
     log(cli.verbosity());
     let runtime = match tokio::runtime::Builder::new_multi_thread().enable_all().build() {
         Ok(runtime) => runtime,
@@ -36,7 +37,7 @@ pub fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            say(&failure::describe(&error));
+            say(&failure::describe(&error, &flags));
             ExitCode::from(failure::exit_code(&error))
         }
     }

@@ -13,12 +13,15 @@ use crate::token::Token;
 use bytes::Bytes;
 use forelight_protocol::{Problem, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
 use futures::{Stream, StreamExt as _, stream};
+use parking_lot::Mutex;
 use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::error::Error;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
 use tokio_util::io::ReaderStream;
 use uuid::Uuid;
@@ -123,6 +126,30 @@ pub(crate) struct Transport {
     base: String,
     token: Option<Token>,
     backoff: Backoff,
+    silence: Arc<Mutex<Silence>>,
+}
+
+/// What was said of a service that gives no answer. Clones of a connection share it.
+#[derive(Debug, Default)]
+struct Silence {
+    said: Option<Instant>,
+}
+
+impl Silence {
+    /// Whether to say now that there is no answer: at once, and then once a minute.
+    fn is_to_be_said(&mut self, now: Instant) -> bool {
+        const BETWEEN: Duration = Duration::from_secs(60);
+        let is_due = self.said.is_none_or(|said| now.duration_since(said) >= BETWEEN);
+        if is_due {
+            self.said = Some(now);
+        }
+        is_due
+    }
+
+    /// Whether it has ended, and was spoken of.
+    fn end(&mut self) -> bool {
+        self.said.take().is_some()
+    }
 }
 
 impl Transport {
@@ -134,10 +161,11 @@ impl Transport {
         backoff: Backoff,
     ) -> Result<Self, ClientError> {
         let wrong = |reason: String| ClientError::Address { address: address.into(), reason };
-        let url = reqwest::Url::parse(address).map_err(|e| wrong(e.to_string()))?;
-        if !matches!(url.scheme(), "http" | "https") {
+        // Of an address without a scheme, the host would be taken for one.
+        if !["http://", "https://"].iter().any(|begin| address.to_ascii_lowercase().starts_with(begin)) {
             return Err(wrong("it must begin with http:// or https://".into()));
         }
+        let url = reqwest::Url::parse(address).map_err(|e| wrong(e.to_string()))?;
         let roots = match roots {
             Some(pem) => Certificate::from_pem_bundle(pem)
                 .ok()
@@ -168,7 +196,9 @@ impl Transport {
         };
         let built = |builder: reqwest::ClientBuilder| builder.build().map_err(|e| wrong(e.to_string()));
         let (http, uploads) = (built(builder().read_timeout(SILENCE))?, built(builder())?);
-        Ok(Self { http, uploads, base: address.trim_end_matches('/').to_owned(), token, backoff })
+        let silence = Arc::new(Mutex::new(Silence::default()));
+        let base = address.trim_end_matches('/').to_owned();
+        Ok(Self { http, uploads, base, token, backoff, silence })
     }
 
     pub fn base(&self) -> &str {
@@ -186,7 +216,12 @@ impl Transport {
         loop {
             let sent = self.token.as_ref().map(Token::secret);
             let (error, asked) = match self.attempt(request, sent.as_deref()).await? {
-                Ok(response) if response.status().is_success() => return Ok(response),
+                Ok(response) if response.status().is_success() => {
+                    if self.never_gives_up() && self.silence.lock().end() {
+                        tracing::info!("{} answers again", self.base);
+                    }
+                    return Ok(response);
+                }
                 Ok(response)
                     if response.status() == StatusCode::UNAUTHORIZED && self.has_another(sent.as_deref()) =>
                 {
@@ -200,7 +235,11 @@ impl Transport {
                     }
                     (error, asked)
                 }
-                Err(source) => (self.no_answer(request, source), None),
+                Err(source) => {
+                    let error = self.no_answer(request, source);
+                    self.tell(&error);
+                    (error, None)
+                }
             };
             failures += 1;
             let Some(wait) = self.backoff.jittered(failures, asked) else { return Err(error) };
@@ -260,6 +299,21 @@ impl Transport {
 
     fn no_answer(&self, request: &Request, source: BoxError) -> ClientError {
         ClientError::Unreachable { url: self.url(request), source }
+    }
+
+    fn never_gives_up(&self) -> bool {
+        self.backoff.attempts.is_none()
+    }
+
+    /// Says that there is no answer, if nobody else does: a client that gives up returns its error.
+    fn tell(&self, error: &ClientError) {
+        if self.never_gives_up() && self.silence.lock().is_to_be_said(Instant::now()) {
+            let mut reason: &dyn Error = error;
+            while let Some(cause) = reason.source() {
+                reason = cause;
+            }
+            tracing::warn!("no answer from {}: {reason}; trying again", self.base);
+        }
     }
 
     /// Whether the token's file holds another token than the one that was sent: it was rotated.
@@ -422,5 +476,25 @@ mod tests {
     async fn an_upload_that_nobody_reads_is_given_up() {
         let error = uploaded(2).await.unwrap_err().to_string();
         assert_eq!(error, "the connection was silent for 3 s");
+    }
+
+    #[test]
+    fn that_there_is_no_answer_is_said_at_once_and_once_a_minute() {
+        let mut silence = Silence::default();
+        let begin = Instant::now();
+        let after = |seconds| begin + Duration::from_secs(seconds);
+        let said: Vec<u64> = (0..=130).filter(|&second| silence.is_to_be_said(after(second))).collect();
+        assert_eq!(said, [0, 60, 120]);
+        assert!(silence.end() && !silence.end());
+        assert!(silence.is_to_be_said(after(131)), "it answered in between");
+    }
+
+    #[test]
+    fn an_address_without_a_scheme_is_refused_with_both() {
+        for address in ["127.0.0.1:7878", "farm:7878", "ftp://farm", ""] {
+            let error = Transport::new(address, None, None, Backoff::PATIENT).unwrap_err().to_string();
+            assert!(error.contains("it must begin with http:// or https://"), "{address}: {error}");
+        }
+        assert!(Transport::new("HTTP://farm:7878/", None, None, Backoff::PATIENT).is_ok());
     }
 }

@@ -41,6 +41,7 @@ pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()
             let there = target.folder().ancestors().find(|folder| fs::symlink_metadata(folder).is_ok());
             let there = there.filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
             tempfile::tempfile_in(there).map_err(|error| {
+                let error = without_temporary_name(error);
                 refused(path, &format!("nothing can be written in {}: {error}", there.display()))
             })?;
         }
@@ -53,6 +54,13 @@ pub fn check<'a>(paths: impl IntoIterator<Item = Option<&'a Path>>) -> Result<()
 
 fn refused(path: &Path, reason: &str) -> BadInput {
     BadInput::new(format!("cannot write {}: {reason}", path.display()))
+}
+
+/// The error of the system. That of a temporary file ends with its name, which says nothing to people.
+fn without_temporary_name(error: io::Error) -> io::Error {
+    let text = error.to_string();
+    let reason = text.split(" at path ").next().unwrap_or_default();
+    io::Error::new(error.kind(), reason)
 }
 
 struct Target {
@@ -110,6 +118,7 @@ fn place(path: &Path, mode: u32, write: impl FnOnce(&Path) -> Result<()>) -> Res
         .prefix(".forelight-")
         .suffix(&suffix)
         .tempfile_in(folder)
+        .map_err(without_temporary_name)
         .with_context(|| format!("cannot write in the folder {}", folder.display()))?
         .into_temp_path();
     write(&temporary).with_context(|| format!("cannot write {}", path.display()))?;
@@ -169,6 +178,8 @@ mod tests {
         assert!(said(&[PathBuf::from("/proc/a.png")]).contains("nothing can be written in /proc"));
         assert!(said(&[path("a.png"), path("a.png")]).contains("two outputs"));
         assert!(write_bytes(&path("kept"), b"y").is_err());
+        let nowhere = format!("{:#}", write_bytes(Path::new("/proc/a.png"), b"x").unwrap_err());
+        assert!(nowhere.contains("/proc") && !nowhere.contains(".forelight-"), "{nowhere}");
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2);
     }
 

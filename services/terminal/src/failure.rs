@@ -1,4 +1,6 @@
 //! Errors whose cause is the user: wrong input, and the wish to stop.
+//!
+//! `forelight_cli::failure` has the rule of the exit codes.
 
 use std::fmt;
 
@@ -46,3 +48,15 @@ impl fmt::Display for Interrupted {
 }
 
 impl std::error::Error for Interrupted {}
+
+/// The user stopped a command that only watched, so that what it watched goes on. Says how to watch it again.
+#[derive(Debug)]
+pub struct StoppedWatching(pub String);
+
+impl fmt::Display for StoppedWatching {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for StoppedWatching {}

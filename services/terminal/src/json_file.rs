@@ -7,6 +7,7 @@ use crate::output::pretty;
 use anyhow::Result;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::error::Category;
 use std::path::Path;
 
 /// Largest size of a document, bytes.
@@ -38,10 +39,18 @@ fn parse<T: DeserializeOwned>(path: &Path, hinted: impl Fn(BadInput) -> BadInput
         // Text that is not JSON has no field.
         let is_whole = error.path().iter().next().is_none();
         let place = if is_whole { String::new() } else { format!("{}: ", error.path()) };
-        wrong(format!("{place}{}", error.inner()))
+        wrong(format!("{place}{}", reason(error.inner())))
     })?;
-    reader.end().map_err(|error| wrong(error.to_string()))?;
+    reader.end().map_err(|error| wrong(reason(&error)))?;
     Ok(document)
+}
+
+/// What is wrong with a text, or with what it says.
+fn reason(error: &serde_json::Error) -> String {
+    match error.classify() {
+        Category::Syntax | Category::Eof => format!("this is not a JSON document: {error}"),
+        Category::Data | Category::Io => error.to_string(),
+    }
 }
 
 #[cfg(test)]
@@ -58,8 +67,8 @@ mod tests {
         assert!(message().contains("x.json: No such file"), "{}", message());
         for (text, reason) in [
             (r#"{"spp": "many"}"#, "x.json: spp: invalid type"),
-            (r#"{"spp": 4} {}"#, "x.json: trailing characters"),
-            ("spp: 4", "x.json: expected value at line 1"),
+            (r#"{"spp": 4} {}"#, "x.json: this is not a JSON document: trailing characters"),
+            ("spp: 4", "x.json: this is not a JSON document: expected value at line 1"),
             (r#"{"spp": 4"#, "EOF"),
         ] {
             fs::write(&path, text).unwrap();

@@ -16,3 +16,4 @@ pub mod output;
 pub mod quantities;
 pub mod table;
 pub mod watching;
+pub mod words;

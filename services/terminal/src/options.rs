@@ -15,20 +15,20 @@ pub struct QualityOptions {
     /// Image height in pixels [default: the camera's, or what keeps its aspect ratio with --width]
     #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=65_536))]
     pub height: Option<u32>,
-    /// Camera samples per pixel
+    /// Camera samples per pixel, 1 to 65536 [default: 16; with another renderer, the scene's]
     #[arg(long, value_name = "SAMPLES")]
     pub spp: Option<u32>,
     /// Method of light transport [default: ambient]
     #[arg(long, value_name = "NAME")]
     pub integrator: Option<Integrator>,
     /// Diffuse bounces of indirect light, 0 to 8. 0 is direct light only. With the path integrator: how often a path
-    /// may split after its first time
+    /// may split after its first time [default: 2]
     #[arg(long, value_name = "BOUNCES")]
     pub ambient_bounces: Option<u32>,
-    /// Rays of one indirect gather, without a cache [default: 16]
+    /// Rays of one indirect gather, without a cache, 1 to 65536 [default: 16]
     #[arg(long, value_name = "RAYS")]
     pub ambient_divisions: Option<u32>,
-    /// Longest chain of mirror and glass hits, 1 to 64
+    /// Longest chain of mirror and glass hits, 1 to 64 [default: 12]
     #[arg(long, value_name = "HITS")]
     pub max_depth: Option<u32>,
     /// Irradiance cache: gather indirect light at a few places, and interpolate between them [default: off]
@@ -42,10 +42,11 @@ pub struct QualityOptions {
     /// Rounded to the nearest of 48, 192, 432, 768, 1200, ... [default: 768]
     #[arg(long, value_name = "RAYS")]
     pub cache_rays: Option<u32>,
-    /// The scene's materials, or every surface as Lambert with its base colour
+    /// The scene's materials, or every surface as Lambert with its base colour [default: full]
     #[arg(long, value_name = "KIND")]
     pub materials: Option<MaterialMode>,
-    /// Seed of all random numbers. The same seed gives the same bits
+    /// Seed of all random numbers. The same seed gives the same bits [default: 0; with another
+    /// renderer, the scene's]
     #[arg(long, value_name = "NUMBER")]
     pub seed: Option<u64>,
 }

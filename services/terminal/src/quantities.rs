@@ -161,7 +161,7 @@ pub fn money(micro_units: i64) -> String {
     forelight_protocol::Money(micro_units).to_string()
 }
 
-/// Formats seconds as `0.42 s`, `12.3 s`, `3m 07s` or `2h 05m`.
+/// Formats seconds as `0.42 s`, `12.3 s`, `3 min 7 s` or `2 h 5 min`.
 pub fn seconds(seconds: f64) -> String {
     if !seconds.is_finite() {
         return "-".into();
@@ -170,8 +170,7 @@ pub fn seconds(seconds: f64) -> String {
     match whole {
         _ if seconds < 10.0 => format!("{seconds:.2} s"),
         ..=99 => format!("{seconds:.1} s"),
-        100..=5_999 => format!("{}m {:02}s", whole / 60, whole % 60),
-        _ => format!("{}h {:02}m", whole / 3_600, whole % 3_600 / 60),
+        _ => forelight_protocol::duration_in_words(whole),
     }
 }
 
@@ -344,8 +343,9 @@ mod tests {
         assert_eq!(count(999_600.0), "1.00 M");
         assert_eq!(seconds(9.994), "9.99 s");
         assert_eq!(seconds(61.0), "61.0 s");
-        assert_eq!(seconds(187.0), "3m 07s");
-        assert_eq!(seconds(7_500.0), "2h 05m");
+        assert_eq!(seconds(187.0), "3 min 7 s");
+        assert_eq!(seconds(7_500.0), "2 h 5 min");
+        assert_eq!([3_599.4, 3_599.6].map(seconds), ["59 min 59 s", "1 h"]);
         assert_eq!(percent(0.032), "+3.2 %");
         assert_eq!(percent(f64::NAN), "-");
     }

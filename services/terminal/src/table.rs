@@ -1,6 +1,7 @@
-//! Plain text tables. Columns are as wide as their widest cell.
+//! Plain text tables. Columns are as wide as their widest cell, as terminals show it.
 
 use crate::foreign_text::shown;
+use unicode_width::UnicodeWidthStr as _;
 
 /// Alignment of a column's cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -39,8 +40,8 @@ impl Table {
     /// The table as text, with a newline after every row.
     pub fn render(&self) -> String {
         let width = |column: usize| {
-            let cells = self.rows.iter().filter_map(|r| r.get(column)).map(|c| c.chars().count());
-            cells.chain([self.head[column].0.chars().count()]).max().unwrap_or(0)
+            let cells = self.rows.iter().filter_map(|r| r.get(column)).map(|c| c.width());
+            cells.chain([self.head[column].0.width()]).max().unwrap_or(0)
         };
         let widths: Vec<usize> = (0..self.head.len()).map(width).collect();
         let rule = "-".repeat(widths.iter().sum::<usize>() + 2 * widths.len().saturating_sub(1));
@@ -83,10 +84,12 @@ impl Table {
                 line.push_str("  ");
             }
             let cell = cells.get(column).map_or("", String::as_str);
-            match align {
-                Align::Left => line.push_str(&format!("{cell:<width$}")),
-                Align::Right => line.push_str(&format!("{cell:>width$}")),
-            }
+            // Formatting would count characters, of which some take two columns and others none.
+            let blank = " ".repeat(width.saturating_sub(cell.width()));
+            line += &match align {
+                Align::Left => format!("{cell}{blank}"),
+                Align::Right => format!("{blank}{cell}"),
+            };
         }
         line.truncate(line.trim_end().len());
         line.push('\n');
@@ -115,6 +118,17 @@ frame  node      error
 total          -12.0 %
 ";
         assert_eq!(table.render(), expected);
+    }
+
+    #[test]
+    fn wide_characters_take_two_columns_and_accents_none() {
+        let mut table = Table::new(&[("job", Align::Left), ("state", Align::Right)]);
+        table.row(["厨房".into(), "done".into()]);
+        table.row(["e\u{301}te\u{301}".into(), "failed".into()]);
+        table.row(["hall".into(), "booked".into()]);
+        let lines: Vec<String> = table.render().lines().map(str::to_owned).collect();
+        let widths: Vec<usize> = lines.iter().map(|line| line.width()).collect();
+        assert!(widths.iter().all(|&width| width == 12), "{lines:?}");
     }
 
     #[test]

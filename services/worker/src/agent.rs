@@ -213,7 +213,8 @@ impl Agent {
                 // A task that was placed on this node runs whatever its calendar says.
                 Ok(Claimed::Nothing | Claimed::Asleep(_)) => tracing::info!(%task, "task already leased"),
                 Err(error) if error.is(ProblemKind::Conflict) => {
-                    return Ok(Errand::Needless(error.to_string()));
+                    let reason = error.problem().map_or_else(|| error.to_string(), |why| why.detail.clone());
+                    return Ok(Errand::Needless(reason));
                 }
                 Err(error) => return Err(self.refused(error)),
             }

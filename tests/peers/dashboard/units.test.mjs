@@ -227,8 +227,8 @@ test("durations and amounts have one style, whether the page or the service writ
     "3 h 20 min",
     "2 d 4 h",
   ]);
-  assert.equal(told("the deadline 28 min 0 s later: -0.0123"), "the deadline 28 min later: −0.012");
-  assert.equal(told("2 h 0 min late: +1.20"), "2 h late: +1.20");
+  assert.equal(told("the deadline 28 min later: -0.0123"), "the deadline 28 min later: −0.012");
+  assert.equal(told("2 h late: +1.20"), "2 h late: +1.20");
   assert.equal(told("1 h 10 min 30 s"), "1 h 10 min 30 s");
   assert.equal(told("shot-1.25 lasts 1.5 s"), "shot-1.25 lasts 1.5 s");
 });

@@ -10,6 +10,7 @@ use forelight_renderer_own::{Aim, AllotOptions, Budget, Stopwatch};
 use forelight_scene::Frame;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::refuse_because;
 use forelight_terminal::quantities::{count, money, parse_money, parse_seconds, seconds};
 use forelight_tracer::{Image, SampleCounts};
 use image::{DynamicImage, ImageBuffer, ImageFormat, ImageReader, Luma};
@@ -76,6 +77,14 @@ pub fn error_target(text: &str) -> Result<ErrorTarget, String> {
 }
 
 impl AllotArgs {
+    /// Refuses a price of which nothing is paid. clap would not require --within-money, which other flags
+    /// exclude.
+    pub fn check(&self) -> Result<()> {
+        let is_unused = self.price.is_some() && self.within_money.is_none();
+        let hint = "add --within-money AMOUNT, or leave it out";
+        refuse_because(&[("--price", is_unused)], "only --within-money uses a price", hint)
+    }
+
     /// Whether anything is asked for.
     pub fn is_given(&self) -> bool {
         self.within.is_some() || self.error.is_some() || self.is_for_this_machine()
@@ -283,6 +292,14 @@ mod tests {
         let Render { allot, spp, profile } = parsed(["render"].into_iter().chain(flags));
         assert_eq!((spp, profile), (None, None));
         allot
+    }
+
+    #[test]
+    fn a_price_is_refused_where_nothing_is_paid() {
+        let unused = flags(["--within", "60", "--price", "3"]).check().unwrap_err();
+        assert!(unused.to_string().starts_with("--price: only --within-money"), "{unused}");
+        flags(["--within-money", "1", "--price", "3"]).check().unwrap();
+        flags([]).check().unwrap();
     }
 
     #[test]

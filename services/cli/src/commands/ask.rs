@@ -2,20 +2,21 @@
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::job_options::deadline;
+use crate::job_options::{deadline, svg_file};
+use crate::named::{JOBS, job_id};
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{
-    AnswersDoc, CacheMode, Integrator, Job, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
+    AnswersDoc, CacheMode, Integrator, Job, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
     RenderSettings, Timestamp,
 };
-use forelight_terminal::atomic_file::write_bytes;
-use forelight_terminal::failure::BadInput;
+use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{
     Deadline, clock, money, parse_deadline, parse_money, probability_in_words, with_local_times,
 };
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 use std::path::PathBuf;
 
 /// Ask about a job's plan: its deadline, the price of other deadlines, and ways to be in time
@@ -45,7 +46,7 @@ pub struct Args {
     #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
     budget: Option<i64>,
     /// Draw the job's price against its deadline into this SVG file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]
     curve: Option<PathBuf>,
     /// Print the answers as JSON to standard output
     #[arg(long)]
@@ -58,6 +59,7 @@ pub struct Args {
 const OLD: i64 = 5_000_000;
 
 pub async fn run(args: Args) -> Result<()> {
+    atomic_file::check([args.curve.as_deref()])?;
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
     let deadline = deadline(args.deadline, jiff::Timestamp::now())?;
@@ -73,14 +75,12 @@ pub async fn run(args: Args) -> Result<()> {
 /// The job with this id, or the newest open and booked job with this name. If there is none, the newest job
 /// with the name.
 async fn find(client: &Client, text: &str) -> Result<Job> {
-    if let Ok(id) = text.parse::<JobId>() {
+    if let Some(id) = job_id(text)? {
         return client.job(id).await.with_context(|| format!("cannot read job {id}"));
     }
     let named = client.jobs_named(text).await.context("cannot list the jobs")?;
     let open = named.iter().find(|job| !job.state.is_final() && job.plan_id.is_some());
-    open.or(named.first())
-        .cloned()
-        .ok_or_else(|| BadInput::new(format!("{text}: no job has this id or name")).into())
+    open.or(named.first()).cloned().ok_or_else(|| JOBS.missing(text, JOBS.none).into())
 }
 
 fn report(job: &Job, found: &AnswersDoc, now: Timestamp) -> String {
@@ -218,7 +218,7 @@ fn other_settings(settings: &RenderSettings, asked: &RenderSettings) -> String {
         others.push(settings.integrator.name().to_owned());
     }
     if settings.ambient_bounces != asked.ambient_bounces {
-        others.push(format!("{} bounces", settings.ambient_bounces));
+        others.push(counted(settings.ambient_bounces, "bounce"));
     }
     let cache = |of: &RenderSettings| (of.cache, of.cache_accuracy, of.cache_rays);
     let gathers = settings.integrator == Integrator::Ambient;

@@ -39,7 +39,7 @@ pub struct Args {
     /// Show only what was done within this time, such as 7d
     #[arg(long, value_name = "DURATION", value_parser = duration)]
     since: Option<Duration>,
-    /// Show at most this many entries, the newest
+    /// Show at most this many entries, the newest: 1 to 200
     #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     most: u32,
     /// Write all entries to this file, NAME.csv or NAME.ndjson
@@ -59,6 +59,7 @@ pub async fn run(args: Args) -> Result<()> {
     let since = args.since.map(back);
     let since = since.as_deref().map(|since| ("from", since));
     if let Some(path) = &args.export {
+        atomic_file::check([Some(&**path)])?;
         let format = match path.extension().and_then(|end| end.to_str()) {
             Some("csv") => "csv",
             Some("ndjson") => "ndjson",

@@ -1,11 +1,14 @@
 //! `forelight backup`: a copy of the farm's database, made while the service runs.
 
+use crate::data_folder;
 use anyhow::{Context, Result};
 use forelight_store::StoreError;
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output::{self, Bars};
+use forelight_terminal::words::counted;
 use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Copy the farm's database while the service runs, and check the copy
 #[derive(Debug, clap::Args)]
@@ -41,15 +44,12 @@ struct Document {
     artifact_bytes: u64,
 }
 pub async fn run(args: Args) -> Result<()> {
+    data_folder::check_farm("--data", &args.data)?;
+    check_place(&args.to)?;
     let spinner = Bars::new(args.json).spinner(format!("copying to {}", args.to.display()));
     let copied = forelight_store::backup(&args.data, &args.to).await;
     spinner.finish_and_clear();
     let backup = match copied {
-        Err(StoreError::NotFound(_)) => {
-            return Err(
-                BadInput::new(format!("--data {}: this folder holds no farm", args.data.display())).into()
-            );
-        }
         Err(StoreError::Conflict(reason)) => return Err(BadInput::new(format!("--to {reason}")).into()),
         other => other.with_context(|| format!("cannot back up the database in {}", args.data.display()))?,
     };
@@ -64,12 +64,37 @@ pub async fn run(args: Args) -> Result<()> {
         return output::json(&document);
     }
     output::line(format!(
-        "{}: {} bytes, {} jobs, checked; the database refers to {} artefacts of {} bytes in {}",
+        "{}: {}, {}, checked; the database refers to {} of {} in {}",
         document.file.display(),
-        document.bytes,
-        document.jobs,
-        document.artifacts,
-        document.artifact_bytes,
+        counted(document.bytes, "byte"),
+        counted(document.jobs, "job"),
+        counted(document.artifacts, "artefact"),
+        counted(document.artifact_bytes, "byte"),
         args.data.join("artifacts").display()
     ))
+}
+
+/// Checks that the copy can be written. Its folder must exist: one that is missing may be a disk that is not
+/// mounted.
+fn check_place(to: &Path) -> Result<()> {
+    let folder = to.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.exists()) {
+        let reason = format!("--to {}: the folder {} does not exist", to.display(), folder.display());
+        return Err(BadInput::new(reason).hint("make the folder first, or name another one").into());
+    }
+    atomic_file::check([Some(to)])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_copy_is_not_written_into_a_folder_that_is_missing() {
+        let folder = tempfile::tempdir().unwrap();
+        check_place(&folder.path().join("x.sqlite")).unwrap();
+        let error = check_place(&folder.path().join("b/x.sqlite")).unwrap_err().to_string();
+        assert!(error.contains("b/x.sqlite: the folder") && error.ends_with("b does not exist"), "{error}");
+        assert!(!folder.path().join("b").exists());
+    }
 }

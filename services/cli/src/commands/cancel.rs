@@ -2,12 +2,14 @@
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
-use crate::named::{Kind, the_one};
+use crate::named::{JOBS, Kind, each, job_id, the_one};
 use anyhow::{Context, Result};
 use forelight_client::Client;
 use forelight_protocol::{Job, JobId};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
+use forelight_terminal::words::counted;
+use std::cell::RefCell;
 
 /// Cancel jobs: their workers stop, and their bookings become free
 #[derive(Debug, clap::Args)]
@@ -17,7 +19,7 @@ Examples:
   forelight cancel kitchen corridor --server http://farm:7878 --token-file me.token
 
 Finished frames stay available. A cancelled job cannot continue; submit it again instead. Cancelling a job \
-again changes nothing.")]
+again changes nothing. Of several jobs, each is cancelled for itself: the exit code is 1 if one of them was not.")]
 pub struct Args {
     /// Ids or names of the jobs. Of several jobs with a name, the only open one is meant
     #[arg(required = true, value_name = "JOB")]
@@ -30,34 +32,29 @@ pub struct Args {
 }
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
-    // An unknown or ambiguous name fails the command before any job is cancelled.
-    let mut wanted = Vec::with_capacity(args.jobs.len());
-    for job in &args.jobs {
-        wanted.push(find(&client, job).await?);
-    }
-    let mut cancelled = Vec::with_capacity(wanted.len());
-    for id in wanted {
-        let job = client.cancel(id).await.with_context(|| format!("cannot cancel job {id}"))?;
+    let cancelled = RefCell::new(Vec::with_capacity(args.jobs.len()));
+    let outcome = each(&args.jobs, "cancelled", async |wanted: &str| {
+        let id = find(&client, wanted).await?;
+        let job = client.cancel(id).await.with_context(|| format!("cannot cancel job {wanted}"))?;
         if !args.json {
-            let (done, all) = (job.frames_done, job.frames_total);
-            output::print(&format!(
-                "{} ({id}) is {}; {done} of {all} frames are done\n",
-                job.name, job.state
-            ))?;
+            let done = format!("{} of {}", job.frames_done, counted(job.frames_total, "frame"));
+            output::line(format!("{} ({id}) is {}; {done} done", job.name, job.state))?;
         }
-        cancelled.push(job);
+        cancelled.borrow_mut().push(job);
+        Ok(())
+    })
+    .await;
+    if args.json {
+        output::json(&cancelled.into_inner())?;
     }
-    if args.json { output::json(&cancelled) } else { Ok(()) }
+    outcome
 }
-
-const JOBS: Kind =
-    Kind { none: "no job has this name", several: "jobs have this name", list: "forelight jobs" };
 
 const OPEN_JOBS: Kind = Kind { several: "open jobs have this name", ..JOBS };
 
 /// The id of the job with this id, or of the only open job with this name, or of the only one.
 pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
-    if let Ok(id) = wanted.parse() {
+    if let Some(id) = job_id(wanted)? {
         return Ok(id);
     }
     let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
@@ -66,7 +63,7 @@ pub(super) async fn find(client: &Client, wanted: &str) -> Result<JobId> {
 
 /// The id of the job with this id, or of the only job with this name, open or not.
 pub(super) async fn find_any(client: &Client, wanted: &str) -> Result<JobId> {
-    if let Ok(id) = wanted.parse() {
+    if let Some(id) = job_id(wanted)? {
         return Ok(id);
     }
     let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
@@ -105,7 +102,7 @@ mod tests {
             Ok(open.id)
         );
         let refused = |jobs: &[Job]| only_one("kitchen", jobs.to_vec()).unwrap_err().to_string();
-        assert_eq!(refused(&[]), "kitchen: no job has this name");
+        assert_eq!(refused(&[]), "kitchen: no job has this name or id");
         assert_eq!(only_one("kitchen", vec![done.clone()]).map_err(|error| error.to_string()), Ok(done.id));
         assert_eq!(refused(&[done.clone(), done]), "kitchen: all jobs with this name have ended");
         assert_eq!(refused(&[open.clone(), of(JobState::Previewing)]), "kitchen: 2 open jobs have this name");

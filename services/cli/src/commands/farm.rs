@@ -10,6 +10,7 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::PreviewBackend;
 use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
+use forelight_terminal::words::counted;
 use forelight_worker::{Agent, AgentError};
 use std::io::IsTerminal as _;
 use tokio::task::JoinSet;
@@ -47,6 +48,7 @@ pub struct Args {
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     // What follows takes a while, and makes folders.
+    args.service.check()?;
     serve::check_address(&args.service)?;
     let folder = args.service.data.join("bundles");
     let (bundles, executor, capabilities) =
@@ -85,7 +87,10 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     })?;
     output::line(match workers {
         0 => "Slurm starts the workers; Ctrl-C ends the farm, and Slurm's jobs go on".to_owned(),
-        _ => format!("{workers} workers of {threads} threads, speed {speed:.2}; Ctrl-C ends the farm"),
+        _ => {
+            let (workers, threads) = (counted(workers, "worker"), counted(threads, "thread"));
+            format!("{workers} of {threads}, speed {speed:.2}; Ctrl-C ends the farm")
+        }
     })?;
     let stopped = interrupt.token();
     // A worker ends by itself only if the service refuses it, which is an error here.

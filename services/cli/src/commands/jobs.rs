@@ -27,7 +27,7 @@ pub struct Args {
     /// List only jobs of this project
     #[arg(long, value_name = "NAME")]
     project: Option<String>,
-    /// List at most this many jobs, the newest
+    /// List at most this many jobs, the newest: 1 to 200
     #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=200))]
     most: u32,
     /// Print the jobs as JSON to standard output

@@ -63,7 +63,9 @@ Examples:
   forelight farm --data farm-data --workers 2          a farm on this machine
   forelight submit kitchen/ --deadline 2h --data farm-data --out images/
 
-Exit codes: 0 done; 1 something failed; 2 wrong input; 3 a budget is threatened (`forelight budget`); 130 stopped by the user.")]
+Exit codes: 0 done; 1 it failed: a network, a disk, the service, a job; 2 the command cannot work as written: wrong \
+input or path, or a request that the service refused; 3 a budget is threatened (`forelight budget`); 130 stopped by \
+the user.")]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -254,6 +256,13 @@ mod tests {
             ("forelight retry j --frames 3-", "--frames"),
             ("forelight jobs --most 0", "--most"),
             ("forelight simulate --nodes 3", "--nodes"),
+            ("forelight simulate --svg x.txt", "--svg"),
+            ("forelight plan farm.json --svg x.txt", "--svg"),
+            ("forelight plan farm.json --job j --curve x.txt", "--curve"),
+            ("forelight ask j --curve x.txt", "--curve"),
+            ("forelight accuracy b --out x.txt", "--out"),
+            ("forelight node rack-7 --maintenance soon", "--maintenance"),
+            ("forelight log kitchen --frame x", "--frame"),
             ("forelight simulate --confidence 90", "--confidence"),
             ("forelight simulate --pool 0", "--pool"),
             ("forelight simulate --bias=-1", "--bias"),

@@ -5,12 +5,12 @@ use crate::connection::connect;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{
-    Money, Node, NodeCalendar, NodeChange, NodeState, PowerState, TimeSpan, Timestamp, WindowEnd,
+    Money, Node, NodeCalendar, NodeChange, NodeState, NodeTerms, PowerState, TimeSpan, Timestamp, WindowEnd,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
-use forelight_terminal::quantities::{clock, parse_money};
+use forelight_terminal::quantities::{clock, money, parse_money, seconds};
 use forelight_terminal::table::{Align, Table};
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ Examples:
   forelight node rack-7 --maintenance 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z --data farm-data
 
 A worker gets an order when it next renews its lease, within a few seconds. The column `state` shows whether the \
-worker has obeyed. The farm sets a node aside after three jobs failed on it within a day; the list shows the reason. \
+worker has obeyed. A node that is named is shown with its terms. The farm sets a node aside after three jobs failed on it within a day; the list shows the reason. \
 The order `back` returns the node to service.
 
 A node gets no tasks while its schedule says that it is asleep. Before a window ends, it gets only tasks that can end \
@@ -45,7 +45,7 @@ pub struct Args {
     #[arg(long, value_name = "WINDOWS", requires = "name")]
     schedule: Option<String>,
     /// Price of an hour, in the farm's currency, such as 2.40. `default`: as the worker says
-    #[arg(long, value_name = "AMOUNT", requires = "name")]
+    #[arg(long, value_name = "AMOUNT", requires = "name", allow_negative_numbers = true)]
     price: Option<String>,
     /// Bill rented time in multiples of this, such as 1h
     #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]
@@ -206,7 +206,12 @@ pub async fn run(args: Args) -> Result<()> {
         }
         None => nodes,
     };
-    if args.json { output::json(&shown) } else { output::print(&report(&shown, Timestamp::now())) }
+    if args.json {
+        return output::json(&shown);
+    }
+    let now = Timestamp::now();
+    let of_one = args.name.as_ref().and(shown.first()).map_or_else(String::new, |node| terms(node, now));
+    output::print(&(report(&shown, now) + &of_one))
 }
 
 fn report(nodes: &[Node], now: Timestamp) -> String {
@@ -234,7 +239,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
             version(node),
             has.memory_bytes
                 .map_or("-".into(), |bytes| format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))),
-            has.vulkan_adapter.clone().unwrap_or_else(|| "CPU".into()),
+            if has.gpu { "GPU".into() } else { "CPU".into() },
             clock(node.last_seen_at, now),
             power(node, now),
         ]);
@@ -250,6 +255,34 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         }
     }
     text
+}
+
+/// The terms of a node, a line each.
+fn terms(node: &Node, now: Timestamp) -> String {
+    let NodeTerms { billing_step_seconds, minimum_booking_seconds, setup_seconds, window_end, maintenance } =
+        &node.terms;
+    let time = |whole: u32| if whole == 0 { "none".to_owned() } else { seconds(f64::from(whole)) };
+    let whose = |is_set: bool| if is_set { "set by an operator" } else { "as the worker says" };
+    let schedule = node.schedule.as_ref().map_or_else(|| "always".to_owned(), ToString::to_string);
+    let end = match window_end {
+        WindowEnd::Finish => "is finished",
+        WindowEnd::Stop => "is stopped, and started again on another node",
+    };
+    let price = format!("{} an hour, {}", money(node.price_per_hour.micro_units()), whose(node.price_set));
+    let mut lines = vec![
+        ("price", price),
+        ("billing step", time(*billing_step_seconds)),
+        ("least billed", time(*minimum_booking_seconds)),
+        ("setup", time(*setup_seconds)),
+        ("awake", format!("{schedule}, {}", whose(node.schedule_set))),
+        ("window end", format!("a task that still runs {end}")),
+    ];
+    lines.extend(maintenance.iter().map(|span| {
+        let end = span.end.map_or_else(|| "no known end".to_owned(), |end| clock(end, now));
+        ("maintenance", format!("{} to {end}", clock(span.start, now)))
+    }));
+    let lines: Vec<String> = lines.into_iter().map(|(name, what)| format!("{name:<13} {what}\n")).collect();
+    format!("\n{}", lines.concat())
 }
 
 /// Version of the worker, and of our own renderer: `0.1.0 tracer-13`.
@@ -273,7 +306,8 @@ fn power(node: &Node, now: Timestamp) -> String {
 mod tests {
     use super::*;
     use crate::connection::{Credentials, ServerOptions};
-    use forelight_protocol::{Capabilities, NodeId, NodeTerms};
+    use forelight_protocol::{Capabilities, NodeId};
+    use forelight_terminal::options::parsed;
 
     #[test]
     fn what_is_not_named_stays_as_it_is() {
@@ -303,6 +337,9 @@ mod tests {
             (3600, 5, WindowEnd::Stop)
         );
         assert_eq!((terms.maintenance.len(), terms.maintenance[0].end), (1, None));
+        let dear = Args { price: Some("-1".into()), ..parsed(["node", "a"]) };
+        let error = dear.change(&node()).unwrap_err().to_string();
+        assert!(error.starts_with("--price: expected an amount"), "{error}");
         let none = Args { billing_step: None, maintenance: Vec::new(), schedule: None, ..args };
         assert_eq!(none.change(&Node { terms: had, ..node() }).unwrap(), NodeChange::default());
     }
@@ -313,6 +350,22 @@ mod tests {
         for part in ["rack-7", "set aside", "48.0 GiB", "3 jobs failed on it"] {
             assert!(text.contains(part), "{text}");
         }
+    }
+
+    #[test]
+    fn the_terms_of_a_node_that_is_named_are_shown() {
+        let changed = NodeTerms {
+            billing_step_seconds: 3600,
+            window_end: WindowEnd::Stop,
+            maintenance: vec![TimeSpan { start: Timestamp::from_micros(0), end: None }],
+            ..NodeTerms::default()
+        };
+        let node = Node { price_per_hour: Money(2_400_000), price_set: true, terms: changed, ..node() };
+        let text = terms(&node, Timestamp::from_micros(0));
+        for said in ["price         2.40 an hour, set by an operator", "is stopped", "to no known end"] {
+            assert!(text.contains(said), "{said}: {text}");
+        }
+        assert!(text.contains("setup         none\nawake         always, as the worker says"), "{text}");
     }
 
     fn node() -> Node {

@@ -2,6 +2,7 @@
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::named;
 use anyhow::{Context, Result};
 use forelight_protocol::{PlanId, PlanReason, PlanSummary, Timestamp};
 use forelight_terminal::output;
@@ -20,6 +21,7 @@ A plan never changes. A new plan replaces it when a job comes in, a node fails, 
 forecast, or a calendar changes. The new plan moves as few bookings as possible.")]
 pub struct Args {
     /// Id of the plan whose changes to show [default: list the newest plans]
+    #[arg(value_parser = named::id::<PlanId>)]
     plan: Option<PlanId>,
     /// Print plans or changes as JSON to standard output
     #[arg(long)]

@@ -2,6 +2,7 @@
 
 use super::cancel::find_any;
 use crate::connection::{ConnectionOptions, connect};
+use crate::named::each;
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -9,6 +10,7 @@ use forelight_protocol::{Files, PruneRequest, Pruned, Retention, RetentionKind, 
 use forelight_terminal::output;
 use forelight_terminal::quantities::bytes;
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 
 /// List how long the farm keeps things, or set it
 #[derive(Debug, clap::Args)]
@@ -128,15 +130,12 @@ pub async fn prune(args: PruneArgs) -> Result<()> {
 
 pub async fn delete(args: DeleteArgs) -> Result<()> {
     let client = connect(&args.connection)?;
-    let mut wanted = Vec::with_capacity(args.jobs.len());
-    for job in &args.jobs {
-        wanted.push(find_any(&client, job).await?);
-    }
-    for id in wanted {
-        client.delete_job(id).await.with_context(|| format!("cannot delete job {id}"))?;
-        output::print(&format!("{id} is deleted\n"))?;
-    }
-    Ok(())
+    each(&args.jobs, "deleted", async |wanted: &str| {
+        let id = find_any(&client, wanted).await?;
+        client.delete_job(id).await.with_context(|| format!("cannot delete job {wanted}"))?;
+        output::line(format!("{id} is deleted"))
+    })
+    .await
 }
 
 fn rules(retention: &Retention) -> String {
@@ -164,8 +163,9 @@ fn report(pruned: &Pruned) -> String {
         let size = if item.bytes > 0 { bytes(item.bytes) } else { String::new() };
         table.row([what.to_owned(), item.number.to_string(), size]);
     }
-    let files =
-        |what: &str, files: Files| format!("{}: {} files, {}\n", what, files.number, bytes(files.bytes));
+    let files = |what: &str, files: Files| {
+        format!("{what}: {}, {}\n", counted(files.number, "file"), bytes(files.bytes))
+    };
     table.render()
         + "\n"
         + &files(&format!("{verb} from the disk"), pruned.deleted)

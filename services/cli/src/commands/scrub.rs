@@ -1,11 +1,13 @@
 //! `forelight scrub`: verifies all artefacts of a farm.
 
+use crate::data_folder;
 use anyhow::{Context, Result, bail};
 use forelight_protocol::Timestamp;
-use forelight_store::{DATABASE, Scrubbed, Store};
-use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_store::{Scrubbed, Store};
+use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::{self, Bars};
+use forelight_terminal::words::{counted, is_or_are};
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -39,10 +41,7 @@ struct Document {
 const AT_ONCE: u64 = 64 << 20;
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    if !args.data.join(DATABASE).is_file() {
-        let reason = format!("--data {}: this folder holds no farm", args.data.display());
-        return Err(BadInput::new(reason).into());
-    }
+    data_folder::check_farm("--data", &args.data)?;
     let failed = || format!("cannot scrub the artefacts in {}", args.data.display());
     let store = Store::open_beside_with_artifacts(&args.data).await.with_context(failed)?;
     let spinner = Bars::new(args.json).spinner("verifying artefacts");
@@ -71,13 +70,15 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         for damaged in &found.damaged {
             output::line(damaged)?;
         }
-        output::line(format!("{} artefacts of {} bytes were verified", found.artifacts, found.bytes))?;
+        let (artifacts, bytes) = (counted(found.artifacts, "artefact"), counted(found.bytes, "byte"));
+        output::line(format!("verified: {artifacts} of {bytes}"))?;
     }
     match found.damaged.len() {
         0 => Ok(()),
-        1 => bail!("1 artefact is damaged; bring it back from a backup, or render its frames again"),
         damaged => bail!(
-            "{damaged} artefacts are damaged; bring them back from a backup, or render their frames again"
+            "{} {} damaged; bring back from a backup what is damaged, or render its frames again",
+            counted(damaged, "artefact"),
+            is_or_are(damaged)
         ),
     }
 }

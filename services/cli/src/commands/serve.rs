@@ -2,6 +2,7 @@
 
 use crate::commands::sign_in;
 use crate::commands::slurm::SlurmOptions;
+use crate::failure::PORT_HINT;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_api::{Config, Service, TlsFiles};
@@ -54,7 +55,7 @@ pub struct ServiceOptions {
     #[arg(long)]
     pub artifacts_moved: bool,
     /// Address and port to listen on. Port 0 picks a free port
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878")]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7878", value_parser = address)]
     pub listen: SocketAddr,
     /// Certificate in PEM form, with which the service answers by TLS, followed by those that lead to its
     /// root. It is read again when it changes
@@ -116,6 +117,11 @@ pub enum Executor {
 }
 
 impl ServiceOptions {
+    /// Refuses options that would have no effect.
+    pub fn check(&self) -> Result<()> {
+        if self.executor == Executor::Slurm { Ok(()) } else { self.slurm.refuse() }
+    }
+
     fn config(&self) -> Result<Config> {
         let mut config = Config::new(&self.data);
         // This program loads bundles for itself. Without its path, the service does that inside.
@@ -143,6 +149,14 @@ impl ServiceOptions {
     }
 }
 
+/// Reads an address to listen on.
+fn address(text: &str) -> Result<SocketAddr, String> {
+    text.parse().map_err(|_| {
+        "expected an IP address and a port, such as 0.0.0.0:7878 for all networks or 127.0.0.1:7878"
+            .to_owned()
+    })
+}
+
 /// Reads `https://farm.example.org` or `http://10.0.0.5:7878/`: scheme, host and port, without a path.
 fn origin(text: &str) -> Result<String, String> {
     let plain = text.trim_end_matches('/');
@@ -155,6 +169,7 @@ fn origin(text: &str) -> Result<String, String> {
 }
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    args.service.check()?;
     let running = start(&args.service).await?;
     output::line(running.greeting())?;
     output::line(format!("dashboard at {}/", running.public_address()))?;
@@ -226,8 +241,7 @@ impl Running {
 /// Fails if the service could not listen on its address now.
 pub fn check_address(options: &ServiceOptions) -> Result<(), BadInput> {
     TcpListener::bind(options.listen).map(drop).map_err(|error| {
-        BadInput::new(format!("--listen: cannot listen on {}: {error}", options.listen))
-            .hint("another farm may run there; --listen 127.0.0.1:0 takes a free port")
+        BadInput::new(format!("--listen: cannot listen on {}: {error}", options.listen)).hint(PORT_HINT)
     })
 }
 

@@ -4,10 +4,15 @@ use anyhow::{Context, Result};
 use forelight_engine::slurm::{Options, Submitting};
 use forelight_protocol::Money;
 use forelight_terminal::failure::BadInput;
+use forelight_terminal::foreign::refuse_because;
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::quantities::parse_money;
 use std::path::{Path, PathBuf, absolute};
 use std::time::Duration;
+
+/// Defaults, which `forelight serve --help` shows too.
+const QUOTE_LIMIT: Duration = Duration::from_secs(3600);
+const POLL: Duration = Duration::from_secs(5);
 
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Slurm (with --executor slurm)")]
@@ -55,6 +60,25 @@ pub struct SlurmOptions {
 }
 
 impl SlurmOptions {
+    /// Refuses options of Slurm where something else starts the workers.
+    pub fn refuse(&self) -> Result<()> {
+        let flags = [
+            ("--slurm-partition", self.slurm_partition.is_some()),
+            ("--slurm-account", self.slurm_account.is_some()),
+            ("--slurm-server", self.slurm_server.is_some()),
+            ("--slurm-program", self.slurm_program.is_some()),
+            ("--slurm-token-file", self.slurm_token_file.is_some()),
+            ("--slurm-bundles", self.slurm_bundles.is_some()),
+            ("--slurm-logs", self.slurm_logs.is_some()),
+            ("--slurm-preview", self.slurm_preview != PreviewBackend::Auto),
+            ("--slurm-price", self.slurm_price != 0),
+            ("--slurm-quote-limit", self.slurm_quote_limit != QUOTE_LIMIT),
+            ("--slurm-reservations", self.slurm_reservations != "auto"),
+            ("--slurm-poll", self.slurm_poll != POLL),
+        ];
+        refuse_because(&flags, "Slurm does not start the workers", "add --executor slurm, or leave it out")
+    }
+
     pub fn engine(&self, address: &str, logs: &Path, token: &Path) -> Result<Options> {
         let server = match &self.slurm_server {
             Some(server) => server.clone(),
@@ -115,5 +139,22 @@ fn pause(text: &str) -> Result<Duration, String> {
         Err("the time must be at least 0.1s".to_owned())
     } else {
         Ok(pause)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_terminal::options::parsed;
+
+    #[test]
+    fn options_of_slurm_are_refused_where_it_starts_nothing_and_defaults_are_not() {
+        let refused =
+            |words: &[&str]| parsed::<SlurmOptions>(["serve"].iter().chain(words).copied()).refuse();
+        refused(&[]).unwrap();
+        for words in [["--slurm-price", "9"], ["--slurm-poll", "6s"], ["--slurm-partition", "render"]] {
+            let error = refused(&words).unwrap_err().to_string();
+            assert!(error.starts_with(words[0]), "{error}");
+        }
     }
 }

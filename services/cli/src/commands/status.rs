@@ -1,11 +1,14 @@
 //! `forelight status`: the state of a job.
 
+use super::submit::images::{again, deleted, is_deleted, were_deleted};
+use super::submit::report::{delivered, ended, quote};
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::named::{JOBS, job_id};
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
-use forelight_protocol::{Job, JobId, JobState, Timestamp, Verdict};
-use forelight_terminal::failure::{BadInput, Interrupted};
+use forelight_protocol::{ForecastDoc, FrameSet, Job, JobState, LiveForecast, Timestamp, Verdict};
+use forelight_terminal::failure::StoppedWatching;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
 use forelight_terminal::output;
@@ -47,31 +50,61 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let client = connect(&args.connection)?;
     let job = find(&client, &args.job).await?;
     if !args.watch {
-        return if args.json { output::json(&job) } else { output::print(&report(&job, Timestamp::now())) };
+        if args.json {
+            return output::json(&job);
+        }
+        let beside = beside(&client, &job).await?;
+        return output::print(&report(&job, &beside, Timestamp::now()));
     }
     let last = watch(&args, &client, job, &interrupt).await?;
     match last.state {
         JobState::Done => Ok(()),
         state => {
-            bail!("the job is {state}{}", last.error.map_or(String::new(), |error| format!(": {error}")))
+            let why = last.error.map_or(String::new(), |error| format!(": {error}"));
+            bail!("the job {}{why}", ended(state))
         }
     }
 }
 
 async fn find(client: &Client, wanted: &str) -> Result<Job> {
-    let id = match wanted.parse::<JobId>() {
-        Ok(id) => id,
-        Err(_) => {
+    let id = match job_id(wanted)? {
+        Some(id) => id,
+        None => {
             let named = client.jobs_named(wanted).await.context("cannot list the jobs")?;
-            let Some(newest) = named.first() else {
-                return Err(BadInput::new(format!("{wanted}: no job has this id or name"))
-                    .hint("`forelight jobs` lists the jobs")
-                    .into());
-            };
-            newest.id
+            named.first().ok_or_else(|| JOBS.missing(wanted, JOBS.none))?.id
         }
     };
     client.job(id).await.with_context(|| format!("cannot read job {wanted}"))
+}
+
+/// What is shown of a job and is not in it.
+#[derive(Default)]
+struct Beside {
+    /// The quote that waits to be accepted.
+    quote: Option<ForecastDoc>,
+    /// Frames whose images were deleted.
+    deleted: Option<FrameSet>,
+}
+
+async fn beside(client: &Client, job: &Job) -> Result<Beside> {
+    let id = job.id;
+    if job.state == JobState::Quoted && job.hold {
+        let quote =
+            client.forecast(id).await.with_context(|| format!("cannot read the quote of job {id}"))?;
+        return Ok(Beside { quote: Some(quote), deleted: None });
+    }
+    if !job.state.is_final() || job.frames_done == 0 {
+        return Ok(Beside::default());
+    }
+    // The images of a job are deleted together, so that two frames tell whether all have to be read.
+    let unreadable = || format!("cannot read the frames of job {id}");
+    for frame in [job.frames.iter().next().unwrap_or_default(), job.frames.last()] {
+        if is_deleted(&client.frame(id, frame).await.with_context(unreadable)?) {
+            let frames = client.frames(id).await.with_context(unreadable)?;
+            return Ok(Beside { quote: None, deleted: deleted(&frames) });
+        }
+    }
+    Ok(Beside::default())
 }
 
 async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt) -> Result<Job> {
@@ -79,7 +112,8 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
     let in_place = !args.json && std::io::stdout().is_terminal();
     let (mut shown, mut last) = (String::new(), None);
     loop {
-        let text = report(&job, Timestamp::now());
+        let beside = if args.json { Beside::default() } else { beside(client, &job).await? };
+        let text = report(&job, &beside, Timestamp::now());
         if args.json && last.as_ref() != Some(&job) {
             output::json_line(&job)?;
         } else if !args.json && text != shown {
@@ -96,7 +130,9 @@ async fn watch(args: &Args, client: &Client, mut job: Job, interrupt: &Interrupt
         tokio::select! {
             () = tokio::time::sleep(args.interval) => {}
             () = stopped.cancelled() => {
-                return Err(anyhow::Error::from(Interrupted).context(format!("job {} goes on", job.id)));
+                let again = format!("forelight status {} --watch", job.id);
+                let words = format!("stopped watching; job {} goes on ({again})", job.id);
+                return Err(StoppedWatching(words).into());
             }
         }
         job = client.job(job.id).await.with_context(|| format!("cannot read job {}", job.id))?;
@@ -113,11 +149,21 @@ pub fn bar(share: f64, cells: usize) -> String {
     format!("[{}{}] {:3.0} %", "#".repeat(full), ".".repeat(cells - full), (share * 100.0).floor())
 }
 
-fn report(job: &Job, now: Timestamp) -> String {
+fn report(job: &Job, beside: &Beside, now: Timestamp) -> String {
     let mut text = format!("{}  {}\n", bar(job.progress, CELLS), job.name);
     let mut line = |name: &str, what: String| text += &format!("{name:<10} {what}\n");
     line("job", format!("{} of project {}", job.id, job.project));
-    line("state", format!("{}: {} of {} frames done", job.state, job.frames_done, job.frames_total));
+    line("state", format!("{}: {} done", job.state, delivered(job.frames_done, job.frames_total)));
+    if job.state == JobState::Quoted && job.hold {
+        let id = job.id;
+        line(
+            "waits",
+            format!("for `forelight accept {id}`, which books it; `forelight cancel {id}` drops it"),
+        );
+    }
+    if let Some(deleted) = &beside.deleted {
+        line("images", format!("{}; {}", were_deleted(deleted), again(job, deleted)));
+    }
     if let Some(cache) = job.shared_cache.as_ref().filter(|cache| !cache.ready && !job.state.is_final()) {
         let filled = format!("{} of {} parts filled", cache.parts_done, cache.parts);
         line("cache", format!("{}  {filled}; the frames wait for the cache", bar(cache.progress, CELLS / 2)));
@@ -139,20 +185,13 @@ fn report(job: &Job, now: Timestamp) -> String {
             format!("{} of CPU time (P50), {} (P80) were quoted", seconds(quote.p50), seconds(quote.p80)),
         );
         if job.state == JobState::Done {
-            line("", format!("{} of CPU time were used", seconds(cpu.spent)));
+            line("", format!("{} of CPU time was used", seconds(cpu.spent)));
         } else if live.frames_done > 0 {
             let so_far =
                 format!("{} (P50), {} (P80) are expected now", seconds(whole.p50), seconds(whole.p80));
             line("", format!("{so_far}; {} are done", seconds(cpu.spent)));
         }
-        let booked = &live.booked;
-        let off = |is_off: bool| if is_off { ": exceeded" } else { "" };
-        let confidence = booked.confidence.name().to_uppercase();
-        let mut what = format!("{} at {confidence}{}", seconds(booked.cpu_seconds), off(live.cost_is_off));
-        if let Some(finish) = booked.finish {
-            what += &format!(", ready by {}{}", clock(finish, now), off(live.finish_is_off));
-        }
-        line("booked", what);
+        line("booked", booked(job, live, now));
     }
     line("ready", ready(job, now));
     if let Some(promise) = job.promise.as_ref().filter(|_| !job.state.is_final()) {
@@ -174,14 +213,34 @@ fn report(job: &Job, now: Timestamp) -> String {
     if let Some(error) = &job.error {
         line("error", error.clone());
     }
+    text += &beside.quote.as_ref().map_or_else(String::new, |quoted| quote(job, quoted));
     with_local_times(&text, now)
+}
+
+/// What is booked, and by how much it is exceeded. A second is no delay.
+fn booked(job: &Job, live: &LiveForecast, now: Timestamp) -> String {
+    let booked = &live.booked;
+    let excess = live.cpu_seconds.whole.at(booked.confidence) - booked.cpu_seconds;
+    let confidence = booked.confidence.name().to_uppercase();
+    let mut text = format!("{} at {confidence}", seconds(booked.cpu_seconds));
+    if live.cost_is_off && excess > 0.0 {
+        text += &format!(": exceeded by {}", seconds(excess));
+    }
+    let Some(finish) = booked.finish else { return text };
+    text += &format!(", ready by {}", clock(finish, now));
+    let expected = job.finished_at.or(live.finish).filter(|_| live.finish_is_off);
+    let late = expected.map_or(0.0, |at| at.micros_since(finish) as f64 * 1e-6);
+    if late >= 1.0 {
+        text += &format!(": exceeded by {}", seconds(late));
+    }
+    text
 }
 
 /// When the job was or will be ready, and by how much that keeps or misses its deadline.
 fn ready(job: &Job, now: Timestamp) -> String {
     let (at, said) = match (job.state, job.finished_at, job.eta) {
         (JobState::Done, Some(at), _) => (at, format!("since {}", clock(at, now))),
-        (state, _, _) if state.is_final() => return format!("never: the job is {state}"),
+        (state, _, _) if state.is_final() => return format!("never: the job {}", ended(state)),
         (JobState::Quoted, _, Some(at)) => (at, format!("at {} if it is accepted now", clock(at, now))),
         (_, _, Some(at)) => (at, format!("at {} by the current plan", clock(at, now))),
         (_, _, None) if job.plan_id.is_none() => {
@@ -219,10 +278,14 @@ fn cost(job: &Job) -> String {
 pub(super) mod tests {
     use super::*;
     use forelight_protocol::{
-        Booked, Confidence, LiveFigure, LiveForecast, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
+        Booked, Confidence, LiveFigure, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
         RenderSettingsRequest, SceneDigest, SceneSummary, WaitKind, Waits,
     };
     use serde_json::json;
+
+    fn shown(job: &Job, now: Timestamp) -> String {
+        report(job, &Beside::default(), now)
+    }
 
     fn at(seconds: i64) -> Timestamp {
         let evening: Timestamp = "2026-03-01T18:00:00Z".parse().expect("an instant");
@@ -268,7 +331,7 @@ pub(super) mod tests {
         let because = "waits because no node takes tasks: 2 asleep".to_owned();
         let waits =
             Waits { kind: WaitKind::Calendar, because, until: Some(at(60)), behind: Vec::new(), share: None };
-        let text = report(&Job { waits: Some(waits), ..job() }, at(0));
+        let text = shown(&Job { waits: Some(waits), ..job() }, at(0));
         assert!(
             text.contains("waits      because no node takes tasks: 2 asleep; the first node wakes at "),
             "{text}"
@@ -277,11 +340,11 @@ pub(super) mod tests {
 
     #[test]
     fn a_job_that_is_not_booked_shows_its_deadline_and_budget_and_no_forecast() {
-        let text = report(&job(), at(0));
+        let text = shown(&job(), at(0));
         assert!(text.contains("not known before the job is booked; wanted by"), "{text}");
         assert!(text.contains("budget 0.50"), "{text}");
         assert!(!text.contains("forecast") && !text.contains("promise"), "{text}");
-        assert!(!report(&Job { budget: None, ..job() }, at(0)).contains("cost"));
+        assert!(!shown(&Job { budget: None, ..job() }, at(0)).contains("cost"));
     }
 
     #[test]
@@ -328,28 +391,58 @@ pub(super) mod tests {
             spent: Some(Money(1_234)),
             ..job()
         };
-        let text = report(&under_way, at(0));
+        let text = shown(&under_way, at(0));
         for said in [
             "[####################....................]  50 %  kitchen",
             "rendering: 5 of 10 frames done",
-            "1m 40s of CPU time (P50), 3m 20s (P80) were quoted",
-            "2m 00s (P50), 4m 00s (P80) are expected now; 60.0 s are done",
-            "3m 20s at P80: exceeded, ready by",
-            "30m 00s before the deadline",
+            "1 min 40 s of CPU time (P50), 3 min 20 s (P80) were quoted",
+            "2 min (P50), 4 min (P80) are expected now; 60.0 s are done",
+            "3 min 20 s at P80: exceeded by 40.0 s, ready by",
+            "30 min before the deadline",
             "kept, with a probability of 93 %",
             "0.001234 so far; 0.004321 (P50), 0.004321 (P80) expected in all; 0.003 booked; budget 0.50",
         ] {
             assert!(text.contains(said), "{said}: {text}");
         }
         let late = Job { eta: Some(at(3660)), promise: None, probability: Some(0.004), ..under_way.clone() };
-        let text = report(&late, at(0));
+        let text = shown(&late, at(0));
         assert!(
             text.contains("60.0 s after the deadline") && text.contains("a probability of < 1 %"),
             "{text}"
         );
         let done = Job { state: JobState::Done, finished_at: Some(at(1000)), progress: 1.0, ..under_way };
-        let text = report(&done, at(0));
-        assert!(text.contains("since ") && text.contains("43m 20s before the deadline"), "{text}");
+        let text = shown(&done, at(0));
+        assert!(text.contains("since ") && text.contains("43 min 20 s before the deadline"), "{text}");
         assert!(!text.contains("promise") && !text.contains("expected for all"), "{text}");
+    }
+
+    #[test]
+    fn a_booking_is_exceeded_by_so_much_and_not_by_less_than_a_second() {
+        let live = |finish: Timestamp| LiveForecast {
+            at: at(0),
+            frames_done: 1,
+            work: LiveFigure::default(),
+            cpu_seconds: LiveFigure::default(),
+            cost: None,
+            finish: Some(finish),
+            booked: Booked { finish: Some(at(60)), ..Booked::default() },
+            cost_is_off: false,
+            finish_is_off: true,
+        };
+        let late = at(60).plus_micros(700_000);
+        assert!(!booked(&job(), &live(late), at(0)).contains("exceeded"));
+        assert!(booked(&job(), &live(at(63)), at(0)).ends_with(": exceeded by 3.00 s"));
+        let done = Job { finished_at: Some(at(65)), ..job() };
+        assert!(booked(&done, &live(at(63)), at(0)).ends_with(": exceeded by 5.00 s"));
+    }
+
+    #[test]
+    fn a_job_on_hold_says_what_it_waits_for_and_one_without_images_how_to_make_them_again() {
+        let held = Job { state: JobState::Quoted, hold: true, ..job() };
+        let text = shown(&held, at(0));
+        assert!(text.contains(&format!("waits      for `forelight accept {}`", held.id)), "{text}");
+        let beside = Beside { quote: None, deleted: "0-9".parse().ok() };
+        let text = report(&Job { state: JobState::Done, ..job() }, &beside, at(0));
+        assert!(text.contains("images     the images of 10 frames were deleted; `forelight retry"), "{text}");
     }
 }

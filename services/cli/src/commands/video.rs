@@ -1,6 +1,7 @@
 //! `forelight video`: a job's frames as a video.
 
 use super::cancel::find_any;
+use super::submit::report::ended;
 use crate::connection::{ConnectionOptions, connect};
 use crate::job_options::mp4_file;
 use anyhow::{Context, Result, bail};
@@ -118,7 +119,7 @@ pub(super) async fn fetch(
                     bail!("the video failed: {}", video.error.as_deref().unwrap_or("no reason was given"))
                 }
                 (None, _, JobState::Done) => {}
-                (None, _, state) => bail!("the job is {state}, so its video is not made now"),
+                (None, _, state) => bail!("the job {}, so its video is not made now", ended(*state)),
             }
             let is_left = video.state == FrameState::Ready && since.elapsed() > PATIENCE;
             if !for_node && (is_left || video.waits.is_some()) {

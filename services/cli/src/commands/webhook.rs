@@ -2,7 +2,7 @@
 
 use crate::connection::{ConnectionOptions, connect};
 use crate::named::{Kind, the_one};
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use forelight_client::Client;
 use forelight_protocol::{
@@ -83,7 +83,7 @@ struct AddArgs {
     connection: ConnectionOptions,
 }
 
-/// Send a test message, and say what the receiver answered
+/// Send a test message, and say what the receiver answered. Fails if it was not delivered
 #[derive(Debug, clap::Args)]
 struct TestArgs {
     /// Id of the webhook. Its address works if only one webhook has it
@@ -99,7 +99,7 @@ struct DeliveriesArgs {
     /// Id of the webhook. Its address works if only one webhook has it
     #[arg(value_name = "WEBHOOK")]
     wanted: String,
-    /// List at most this many
+    /// List at most this many, 1 to 200
     #[arg(long, value_name = "COUNT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=200))]
     most: u32,
     /// Print the deliveries as JSON to standard output
@@ -139,7 +139,7 @@ pub async fn run(args: Args) -> Result<()> {
         Command::Test(test) => {
             let client = connect(&test.connection)?;
             let webhook = find(&client, &test.wanted).await?;
-            let answer = tested(&client, webhook.id).await?;
+            let answer = tested(&client, webhook.id).await.with_context(|| webhook.url.clone())?;
             output::line(format!("{}: {answer}", webhook.url))
         }
         Command::Deliveries(list) => {
@@ -174,7 +174,10 @@ async fn add_webhook(args: AddArgs) -> Result<()> {
     }
 }
 
-/// Sends a test, and waits for its first attempt: what became of it in words.
+/// Sends a test, and waits for its first attempt: what the receiver answered.
+///
+/// # Errors
+/// If it was not delivered, although it will be sent again.
 async fn tested(client: &Client, webhook: WebhookId) -> Result<String> {
     /// Longer than a receiver may take to answer.
     const PATIENCE: Duration = Duration::from_secs(20);
@@ -186,14 +189,14 @@ async fn tested(client: &Client, webhook: WebhookId) -> Result<String> {
         let told = client.deliveries(webhook, 200).await.context("cannot list the deliveries")?;
         let test = told.into_iter().find(|one| one.kind == WebhookKind::Test);
         if let Some(test) = test.filter(|test| Some(test.id) > before && test.attempts > 0) {
-            return Ok(match test.error {
-                None => format!("the receiver answered {}", test.status.unwrap_or_default()),
-                Some(error) => format!("not delivered: {error}; it will be sent again"),
-            });
+            return match test.error {
+                None => Ok(format!("the receiver answered {}", test.status.unwrap_or_default())),
+                Some(error) => bail!("not delivered: {error}; it will be sent again"),
+            };
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    Ok("not sent yet; `forelight webhook deliveries` shows what becomes of it".to_owned())
+    bail!("not sent yet; `forelight webhook deliveries` shows what becomes of it")
 }
 
 const WEBHOOKS: Kind = Kind {

@@ -2,6 +2,7 @@
 
 use super::calibrate;
 use crate::connection::{ConnectionOptions, Credentials, connect, read_token};
+use crate::named;
 use anyhow::{Context, Result};
 use etcetera::BaseStrategy as _;
 use forelight_client::Client;
@@ -24,6 +25,7 @@ use forelight_terminal::local::{cores, preview_choice};
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{parse_bytes, parse_money};
+use forelight_terminal::words::counted;
 use forelight_video::{Encoder, VideoTasks};
 use forelight_worker::{Agent, Bundles, Errand, machine};
 use std::path::{Path, PathBuf};
@@ -55,7 +57,7 @@ pub struct Args {
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Price of an hour of this node, in the farm's currency, such as 0.80
-    #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
+    #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money, allow_negative_numbers = true)]
     price: i64,
     /// Folder for downloaded bundles [default: forelight/bundles in the user's cache folder, ~/.cache]
     #[arg(long, value_name = "DIR")]
@@ -65,7 +67,7 @@ pub struct Args {
     preview: PreviewBackend,
     /// Do only this task, for schedulers such as Slurm. The worker waits while another worker has the task.
     /// The exit code is 0 if the task is done already
-    #[arg(long, value_name = "ID")]
+    #[arg(long, value_name = "ID", value_parser = named::id::<TaskId>)]
     task: Option<TaskId>,
     #[command(flatten)]
     renderers: RendererOptions,
@@ -122,12 +124,12 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     let agent = Agent::new(client.clone(), bundles, executor, registration)?
         .with_limits(limits)
         .with_checkpoints(args.checkpoints);
-    let address = client.address();
+    let (address, threads) = (client.address(), counted(cores, "thread"));
     let Some(task) = args.task else {
-        output::line(format!("worker {name} with {cores} threads for {address}"))?;
+        output::line(format!("worker {name} with {threads} for {address}"))?;
         return Ok(agent.run(interrupt.token()).await?);
     };
-    output::line(format!("task {task} on {name} with {cores} threads for {address}"))?;
+    output::line(format!("task {task} on {name} with {threads} for {address}"))?;
     match agent.run_task(task, interrupt.token()).await? {
         Errand::Ended => output::line("the task ended; the service has its result, or its error"),
         Errand::Dropped => output::line("the service no longer wants this task's result; it was dropped"),
@@ -222,7 +224,7 @@ async fn join(one_time: &Path, connection: &ConnectionOptions, node: &NodeRegist
     match client.nodes().await {
         Ok(_) => return Ok(client),
         Err(error) if error.is(ProblemKind::Unauthenticated) => {}
-        Err(error) => return Err(error.into()),
+        Err(error) => return Err(error).context("cannot join the farm"),
     }
     let own = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     let request = JoinRequest { node: node.clone(), token_hash: token_hash(own.trim()) };

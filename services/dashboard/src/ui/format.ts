@@ -190,11 +190,11 @@ export function signedMoney(micros: number): string {
   return `${micros < 0 ? "−" : "+"}${money(Math.abs(micros))}`;
 }
 
-/** Durations and amounts of the service, written as the page writes them. */
+/** Amounts of the service, written as the page writes them. */
 function asHere(text: string): string {
-  return text
-    .replace(/(\d (?:min|h)) 0 (?:s|min)(?![\w])/g, "$1")
-    .replace(/(?<![^\s(])[+-]\d+\.\d{2,6}(?![\w.]| ?%)/g, (amount) => signedMoney(Number(amount) * 1e6));
+  return text.replace(/(?<![^\s(])[+-]\d+\.\d{2,6}(?![\w.]| ?%)/g, (amount) =>
+    signedMoney(Number(amount) * 1e6),
+  );
 }
 
 /** A text of the service for people: one line, with its instants in the viewer's zone. */

@@ -7,6 +7,7 @@ use forelight_tests::pictures::{Channels, assert_png};
 use forelight_tests::processes::{run, run_well};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::path::Path;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -66,9 +67,13 @@ async fn submitting_by_the_command_line_brings_every_picture_and_a_contact_sheet
     let empty = service.folder().join("empty.zip");
     std::fs::write(&empty, zip_of([])).unwrap();
     let past_the_end = ["--frames", "0-48"];
-    for (bundle, more, said) in
-        [(&missing, &[][..], "no such bundle"), (&empty, &[], "scene.json"), (&scene, &past_the_end, "48")]
-    {
+    let nowhere = ["--out", "/proc/images"];
+    for (bundle, more, said) in [
+        (&missing, &[][..], "no such bundle"),
+        (&empty, &[], "scene.json"),
+        (&scene, &past_the_end, "--frames: "),
+        (&scene, &nowhere, "nothing can be written in /proc"),
+    ] {
         let output = run(&submit(bundle, more));
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{error}");
@@ -89,15 +94,61 @@ async fn a_job_on_hold_is_quoted_says_when_it_would_end_and_is_rendered_once_it_
     assert_eq!((&quoted["job"]["state"], &quoted["job"]["plan_id"]), (&json!("quoted"), &Value::Null));
     let id = quoted["job"]["id"].as_str().expect("an id");
     let status = run_well(&[&["status", id][..], &at].concat());
-    assert!(status.contains("if it is accepted now"), "{status}");
+    for said in ["if it is accepted now", &format!("waits      for `forelight accept {id}`"), "quoted     "] {
+        assert!(status.contains(said), "{status}");
+    }
     let accepted =
         run_well(&[&["accept", id, "--deadline", "6h", "--budget", "9.50", "--json"][..], &at].concat());
     let accepted: Value = serde_json::from_str(&accepted).expect("JSON is printed");
     assert_eq!((&accepted["hold"], &accepted["budget"]), (&Value::Null, &json!(9_500_000)));
     let table = run_well(&[&["submit", "--job", id, "--follow"][..], &at].concat());
-    assert!(table.contains("delivered  1 of 1 frames"), "{table}");
-    let again = run(&[&["accept", id, "--confidence", "p50"][..], &at].concat());
-    assert_eq!(again.status.code(), Some(1), "{}", String::from_utf8_lossy(&again.stderr));
+    assert!(table.contains("delivered  1 of 1 frame"), "{table}");
+    let again = run_well(&[&["accept", id][..], &at].concat());
+    assert!(again.contains("does not wait to be accepted; nothing was changed"), "{again}");
+    let (code, error) = refused(&[&["accept", id, "--confidence", "p50"][..], &at].concat());
+    assert!(code == Some(2) && error.contains("does not wait to be accepted"), "{error}");
+    // Each of several jobs is cancelled for itself.
+    let (code, error) = refused(&[&["cancel", "nosuch", id][..], &at].concat());
+    assert_eq!((code, error.matches("error: ").count()), (Some(1), 3), "{error}");
+    for said in ["nosuch: no job has this name or id", "the job is done", "2 of 2 could not be cancelled"] {
+        assert!(error.contains(said), "{said}: {error}");
+    }
+}
+
+/// The exit code of a command that fails, and what it says.
+fn refused<A: AsRef<OsStr>>(arguments: &[A]) -> (Option<i32>, String) {
+    let output = run(arguments);
+    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn images_that_were_deleted_are_said_to_be_and_leave_no_contact_sheet() {
+    let service = farm().await;
+    let (scene, data) = (shipped("corridor").display().to_string(), service.data().display().to_string());
+    let at = ["--server", service.address(), "--data", &data];
+    let quality = ["--frames", "0,2", "--width", "48", "--spp", "1", "--follow", "--json"];
+    let printed = run_well(&[&["submit", &scene][..], &quality, &at].concat());
+    let printed: Value = serde_json::from_str(&printed).expect("JSON is printed");
+    let id = printed["job"]["id"].as_str().expect("an id");
+    let log = run_well(&[&["log", id, "--frame", "2"][..], &at].concat());
+    assert!(log.starts_with("profile ") || log.starts_with("render "), "{log}");
+    assert!(log.contains("started on node-"), "{log}");
+    let (code, error) = refused(&[&["log", id, "--frame", "7"][..], &at].concat());
+    assert!(code == Some(2) && error.contains("--frame 7"), "{error}");
+
+    run_well(&[&["retention", "set", "images", "0"][..], &at].concat());
+    run_well(&[&["prune"][..], &at].concat());
+    let out = service.folder().join("images");
+    let folder = out.display().to_string();
+    let (code, error) = refused(&[&["submit", "--job", id, "--out", &folder][..], &at].concat());
+    let way =
+        format!("the images of 2 frames were deleted; `forelight retry {id} --frames 0,2` makes them again");
+    assert!(code == Some(1) && error.contains(&way), "{error}");
+    assert!(!out.join("contact-sheet.png").exists());
+    let status = run_well(&[&["status", id][..], &at].concat());
+    assert!(status.contains(&way), "{status}");
+    let table = run_well(&[&["submit", "--job", id, "--follow"][..], &at].concat());
+    assert_eq!(table.matches("its image was deleted").count(), 2, "{table}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

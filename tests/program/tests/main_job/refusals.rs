@@ -144,12 +144,16 @@ async fn a_token_that_is_missing_unknown_or_of_the_wrong_role_opens_nothing() {
     for path in ["/healthz", "/readyz", "/openapi.yaml"] {
         assert_eq!(anonymous.get(path).await.status(), StatusCode::OK, "{path}");
     }
-    // The command line names the reason, and exits with the code for failure.
+    // The command line names the reason without the words of HTTP, and exits with the code for what is refused.
     let (address, bundle) = (service.address().to_owned(), shipped("corridor").display().to_string());
     let viewer = service.token_file(Role::Viewer).display().to_string();
-    for (flag, token, said) in [("--token", "wrong", "401"), ("--token-file", viewer.as_str(), "403")] {
+    for (flag, token, said) in [
+        ("--token", "wrong", "the service does not know this token"),
+        ("--token-file", viewer.as_str(), "a viewer token does not allow this"),
+    ] {
         let output = run(&["submit", &bundle, "--server", &address, flag, token]);
         let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(output.status.code() == Some(1) && error.contains(said), "{error}");
+        assert!(output.status.code() == Some(2) && error.contains(said), "{error}");
+        assert!(!error.contains("401") && !error.contains("403"), "{error}");
     }
 }

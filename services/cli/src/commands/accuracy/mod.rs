@@ -7,6 +7,7 @@ use super::blocking;
 use super::cancel::find_any;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::job_options::svg_file;
 use anyhow::{Context, Result};
 use forelight_denoise::Denoiser;
 use forelight_protocol::{AccuracyDoc, LadderKind};
@@ -66,7 +67,7 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
     reference_spp: u32,
     /// Plot error against CPU time into this SVG file
-    #[arg(long, value_name = "FILE.svg")]
+    #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]
     out: Option<PathBuf>,
     /// Print the ladders as JSON to standard output
     #[arg(long)]
@@ -79,10 +80,6 @@ pub struct Args {
     connection: ConnectionOptions,
 }
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
-    if let Some(path) = args.out.as_deref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
-        let reason = format!("--out {}: the plot is an SVG, so its name must end in .svg", path.display());
-        return Err(BadInput::new(reason).into());
-    }
     atomic_file::check([args.out.as_deref()])?;
     match (args.job.clone(), args.bundle.clone()) {
         (Some(job), _) => of_job(&args, &job).await,

@@ -4,6 +4,7 @@ use super::{thousandths, value};
 use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 
 /// A table for each ladder, and a summary of the profiles.
 pub fn text(document: &AccuracyDoc) -> String {
@@ -158,8 +159,11 @@ fn described(settings: &RenderSettings) -> String {
         }
     };
     format!(
-        "{} x {}, {} spp, {light}, {} bounces",
-        settings.width, settings.height, settings.spp, settings.ambient_bounces
+        "{} x {}, {} spp, {light}, {}",
+        settings.width,
+        settings.height,
+        settings.spp,
+        counted(settings.ambient_bounces, "bounce")
     )
 }
 

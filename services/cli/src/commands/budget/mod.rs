@@ -5,6 +5,7 @@ mod table;
 
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::data_folder;
 use crate::failure::Threatened;
 use anyhow::{Context, Result};
 use clap::{Subcommand, ValueEnum};
@@ -12,8 +13,8 @@ use forelight_protocol::{
     BudgetAction, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetPeriod, BudgetRequest,
     BudgetThreshold, Money, Night, Timestamp,
 };
-use forelight_store::{DATABASE, Store};
-use forelight_terminal::atomic_file::write_bytes;
+use forelight_store::Store;
+use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
 use forelight_terminal::quantities::parse_money;
@@ -41,7 +42,7 @@ pub struct Args {
     /// Date on which the first night begins, such as 2026-03-01 [default: tonight]
     #[arg(long, value_name = "YYYY-MM-DD", value_parser = parse_date)]
     date: Option<Date>,
-    /// Number of nights
+    /// Number of nights, 1 to 60
     #[arg(long, value_name = "COUNT", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=60))]
     days: u32,
     /// Time zone of the nights, such as Europe/Berlin [default: this machine's]
@@ -176,6 +177,8 @@ pub async fn run(args: Args) -> Result<()> {
 }
 
 async fn forecast(args: Args) -> Result<()> {
+    atomic_file::check([args.csv.as_deref(), args.html.as_deref()])?;
+    let failed = "cannot forecast the cost of nights";
     let (date, days, zone) = (args.date, args.days, zone(args.zone)?);
     let request = BudgetForecastRequest { date, days, zone, by_job: true, max_age: 0 };
     let found = match &args.place.database {
@@ -183,14 +186,16 @@ async fn forecast(args: Args) -> Result<()> {
             let store = open(folder).await?;
             let found = forelight_api::budget_forecast(&store, &request, None, Timestamp::now()).await;
             store.close().await;
-            found.map_err(|error| match error {
-                forelight_api::BudgetForecastError::Invalid { .. } => {
-                    anyhow::Error::from(BadInput::new(error.to_string()))
-                }
-                other => other.into(),
-            })?
+            found
+                .map_err(|error| match error {
+                    forelight_api::BudgetForecastError::Invalid { .. } => {
+                        anyhow::Error::from(BadInput::new(error.to_string()))
+                    }
+                    other => other.into(),
+                })
+                .context(failed)?
         }
-        None => connect(&args.place.connection)?.budget_forecast(&request).await?,
+        None => connect(&args.place.connection)?.budget_forecast(&request).await.context(failed)?,
     };
     if let Some(path) = &args.csv {
         write_bytes(path, table::csv(&found).as_bytes())?;
@@ -237,14 +242,15 @@ async fn set(args: SetArgs) -> Result<()> {
         zone: zone(args.zone)?,
         thresholds,
     };
+    let failed = || format!("cannot set the budget of project {}", request.project);
     let budget = match &args.place.database {
         Some(folder) => {
             let store = open(folder).await?;
             let set = store.set_budget(&request, Timestamp::now()).await;
             store.close().await;
-            set?
+            set.with_context(failed)?
         }
-        None => connect(&args.place.connection)?.set_budget(&request).await?,
+        None => connect(&args.place.connection)?.set_budget(&request).await.with_context(failed)?,
     };
     if args.json { output::json(&budget) } else { output::print(&table::budgets(&[budget])) }
 }
@@ -275,24 +281,15 @@ async fn list(args: ListArgs) -> Result<()> {
             let store = open(folder).await?;
             let items = store.budgets(Timestamp::now()).await;
             store.close().await;
-            BudgetList { items: items? }
+            BudgetList { items: items.context("cannot list the budgets")? }
         }
-        None => connect(&args.place.connection)?.budgets().await?,
+        None => connect(&args.place.connection)?.budgets().await.context("cannot list the budgets")?,
     };
     if args.json { output::json(&found) } else { output::print(&table::budgets(&found.items)) }
 }
 
 async fn open(folder: &Path) -> Result<Store> {
-    if !folder.is_dir() {
-        return Err(BadInput::new(format!("--database {}: this folder does not exist", folder.display()))
-            .hint("name the folder that the farm's service has as --data")
-            .into());
-    }
-    if !folder.join(DATABASE).is_file() {
-        return Err(BadInput::new(format!("--database {}: this folder holds no farm", folder.display()))
-            .hint("name the folder that the farm's service has as --data")
-            .into());
-    }
+    data_folder::check_farm("--database", folder)?;
     Store::open_beside(folder)
         .await
         .with_context(|| format!("cannot open the farm's data in {}", folder.display()))

@@ -11,6 +11,7 @@ use forelight_protocol::{
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::quantities::{money, seconds};
+use forelight_terminal::words::counted;
 use serde::Deserialize;
 use serde::Serialize;
 use serde_json::{Map, Value};
@@ -285,9 +286,10 @@ fn description(source: &Source, frames: &FrameSet, forecast: Option<&ForecastDoc
     let count = frames.count();
     let ((width, height), samples) =
         (source.settings.size().unwrap_or((1, 1)), source.settings.samples().unwrap_or(1));
-    let plural = if count == 1 { "" } else { "s" };
     let mut text = format!(
-        "{count} frame{plural} of {width} x {height} pixels, {samples} samples a pixel.\nScene {}.\n",
+        "{} of {width} x {height} pixels, {} a pixel.\nScene {}.\n",
+        counted(count, "frame"),
+        counted(samples, "sample"),
         source.digest
     );
     if let Some(renderer) = &source.renderer {
@@ -410,8 +412,9 @@ mod tests {
         assert_eq!(frames_of(120, &loaded, 1).unwrap(), (1, 120));
         let refused = message(frames_of(119, &loaded, 1));
         assert!(
-            refused
-                .starts_with("--chunk: a frame takes 20.0 s by the forecast with --threads 1, after 1m 40s"),
+            refused.starts_with(
+                "--chunk: a frame takes 20.0 s by the forecast with --threads 1, after 1 min 40 s"
+            ),
             "{refused}"
         );
         assert!(message(frames_of(60, &quote("0-9", 0.0), 1)).starts_with("--chunk: a frame takes"));
@@ -560,7 +563,7 @@ mod tests {
         let frames: FrameSet = "0-9".parse().unwrap();
         let text = description(&source(settings.clone(), &frames), &frames, Some(&quote("0-9", 20.0)));
         assert!(text.starts_with("10 frames of 4 x 2 pixels, 16 samples"), "{text}");
-        assert!(text.contains("3m 20s (P95)") && text.contains("Costs 12.50 (P50)"), "{text}");
+        assert!(text.contains("3 min 20 s (P95)") && text.contains("Costs 12.50 (P50)"), "{text}");
         assert!(!description(&source(settings, &frames), &frames, None).contains("Forecast"));
     }
 }

@@ -19,6 +19,7 @@ use forelight_terminal::local::Local;
 use forelight_terminal::options::{Keep, MachineOptions, PreviewBackend, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
+use forelight_terminal::words::counted;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -183,8 +184,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let mut report = format!("steps   {}\nframes  {}\n", steps.join(", "), shot.frames);
     if let Some(chunk) = shot.chunk {
         report += &format!(
-            "chunk   at most {} frames in a task, for about {}\n",
-            chunk.frames,
+            "chunk   at most {} in a task, for about {}\n",
+            counted(chunk.frames, "frame"),
             seconds(chunk.seconds as f64)
         );
     }

@@ -28,6 +28,7 @@ use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
+use forelight_terminal::words::counted;
 use std::path::{Path, PathBuf};
 
 /// Forecast what frames cost before they are rendered
@@ -298,8 +299,7 @@ fn report(quote: &ForecastDoc) -> String {
         }
     }
     let spent = &quote.spent;
-    let frames = quote.profiled.frames.len();
-    let plural = if frames == 1 { "" } else { "s" };
+    let frames = counted(quote.profiled.frames.len(), "frame");
     let calibrated = if quote.calibrated {
         "The quantiles are calibrated on past jobs."
     } else {
@@ -314,7 +314,7 @@ fn report(quote: &ForecastDoc) -> String {
             .and_then(once_costs)
             .map_or_else(String::new, |costs| format!("once for each process, in no frame: {costs}\n"))
         + &format!(
-            "\nsimulated: {}\n{}{} pixels of {frames} frame{plural} were profiled, and blocks of neighbours were traced for their time. The quote took {} CPU time, and {:.1} % of the work that it forecasts.\n{calibrated}\n",
+            "\nsimulated: {}\n{}{} pixels of {frames} were profiled, and blocks of neighbours were traced for their time. The quote took {} CPU time, and {:.1} % of the work that it forecasts.\n{calibrated}\n",
             output::list(&quote.effects),
             left_out.collect::<String>(),
             quote.profiled.pixels,

@@ -15,6 +15,7 @@ use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 use std::path::Path;
 
 /// What is asked for.
@@ -114,12 +115,11 @@ fn write_cost_map(path: &Path, quote: &ShotQuote, settings: &Settings, bars: &Ba
 
 /// What was measured: samples of frames, or pixels.
 fn measured_text(frames: usize, samples: u32, pixels: Option<usize>) -> String {
-    let plural = if frames == 1 { "" } else { "s" };
+    let frames = counted(frames, "frame");
     match (pixels, samples) {
-        (Some(pixels), _) => format!("profiled {pixels} pixels of {frames} frame{plural}"),
-        (None, 0) => format!("measured parts of {frames} frame{plural}"),
-        (None, 1) => format!("measured 1 sample of {frames} frame{plural}"),
-        (None, _) => format!("measured {samples} samples of {frames} frame{plural}"),
+        (Some(pixels), _) => format!("profiled {} of {frames}", counted(pixels, "pixel")),
+        (None, 0) => format!("measured parts of {frames}"),
+        (None, _) => format!("measured {} of {frames}", counted(samples, "sample")),
     }
 }
 
@@ -143,9 +143,10 @@ fn report(quote: &ForecastDoc, renderer: &RendererId, settings: &Settings, measu
     table.row(row("all".to_owned(), &quote.total.cpu_seconds, ""));
     let Common { width, height, samples: all, .. } = settings.common;
     format!(
-        "{}\n{renderer}, {width} × {height}, {all} samples per pixel; {measured}.\n\
+        "{}\n{renderer}, {width} × {height}, {} per pixel; {measured}.\n\
          The quote took {} of CPU time, {:.1} % of the forecast. Its quantiles are not calibrated on past jobs.\n",
         table.render(),
+        counted(all, "sample"),
         seconds(quote.spent.cpu_seconds),
         quote.spent.fraction_of_forecast * 100.0,
     )

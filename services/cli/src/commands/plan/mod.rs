@@ -3,13 +3,14 @@
 mod gantt;
 
 use self::gantt::gantt;
+use crate::job_options::svg_file;
 use anyhow::{Result, anyhow};
 use forelight_planner::{
     Change, Confidence, Description, Effect, Explanation, Input, Offer, Outlook, Plan, Simulation, Verdict,
     curve, earliest_for_budget, explain, outlook, plan, simulate, verify, ways_out, what_if,
 };
 use forelight_plots as plots;
-use forelight_terminal::atomic_file::write_bytes;
+use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
 use forelight_terminal::output;
@@ -32,13 +33,13 @@ pub struct Args {
     /// Farm description, a JSON file
     farm: PathBuf,
     /// Draw the plan as a Gantt chart into this SVG file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]
     svg: Option<PathBuf>,
     /// Show this job's cost at each confidence and deadline, and the ways to make it possible
     #[arg(long, value_name = "NAME")]
     job: Option<String>,
     /// Draw the job's price against its deadline into this SVG file. Needs --job
-    #[arg(long, value_name = "FILE", requires = "job")]
+    #[arg(long, value_name = "FILE.svg", requires = "job", value_parser = svg_file)]
     curve: Option<PathBuf>,
     /// Find the earliest deadline that this amount pays for, such as 250. Needs --job
     #[arg(long, value_name = "AMOUNT", requires = "job", value_parser = parse_money)]
@@ -100,6 +101,7 @@ struct Answers {
 /// Offers on a price curve.
 const POINTS: u32 = 13;
 pub fn run(args: &Args) -> Result<()> {
+    atomic_file::check([args.svg.as_deref(), args.curve.as_deref()])?;
     let input = read(&args.farm)?;
     let found = plan(&input).map_err(|error| BadInput::new(format!("{}: {error}", args.farm.display())))?;
     if let Err(violations) = verify(&input, &found) {
@@ -227,7 +229,11 @@ fn jobs(input: &Input, document: &Document) -> Table {
             Verdict::NoDeadline { .. } => String::new(),
             Verdict::Late { unavoidable: true, .. } => "late in every plan".to_owned(),
             Verdict::Late { .. } => "late".to_owned(),
-            Verdict::Unplaced { frames, .. } => format!("{} frames have no free node", frames.len()),
+            Verdict::Unplaced { shared_cache: true, .. } => "its shared cache has no free node".to_owned(),
+            Verdict::Unplaced { frames, .. } => {
+                let have = if frames.len() == 1 { "has" } else { "have" };
+                format!("{} {have} no free node", counted(frames.len(), "frame"))
+            }
         };
         if entry.within_budget == Some(false) {
             word += if word.is_empty() { "over budget" } else { ", over budget" };
@@ -249,10 +255,10 @@ fn report(input: &Input, document: &Document) -> String {
     let found = &document.plan;
     let mut text = jobs(input, document).render();
     text += &format!(
-        "\nplan {}: {} bookings on {} rentals for {}; no plan can cost less than {}\n",
+        "\nplan {}: {} in {} for {}; no plan can cost less than {}\n",
         document.plan_id,
-        found.bookings.len(),
-        found.rentals.len(),
+        counted(found.bookings.len(), "booking"),
+        counted(found.rentals.len(), "rental"),
         money(found.cost),
         money(found.cost_bound)
     );
@@ -266,9 +272,8 @@ fn report(input: &Input, document: &Document) -> String {
         text += &infeasible.jobs.iter().map(|&job| job_name(input, job)).collect::<Vec<_>>().join(", ");
         text.push('\n');
         for short in &infeasible.short {
-            let nodes = short.nodes.len();
-            text +=
-                &format!("  {} to {}: all of {nodes} nodes needed\n", clock(short.start), clock(short.end));
+            let nodes = counted(short.nodes.len(), "node");
+            text += &format!("  {} to {}: {nodes} needed in full\n", clock(short.start), clock(short.end));
         }
     }
     if !document.explanations.is_empty() {
@@ -361,7 +366,8 @@ fn describe(input: &Input, effect: &Effect) -> String {
         text += &format!("; late: {}", list(&effect.broken));
     }
     if !effect.pushed_back.is_empty() {
-        text += &format!("; {} jobs end later", effect.pushed_back.len());
+        let end = if effect.pushed_back.len() == 1 { "ends" } else { "end" };
+        text += &format!("; {} {end} later", counted(effect.pushed_back.len(), "job"));
     }
     text
 }
@@ -370,8 +376,74 @@ fn job_name(input: &Input, id: u64) -> String {
     input.jobs.iter().find(|job| job.id == id).map(|job| job.name.clone()).unwrap_or_default()
 }
 
+/// `1 node`, `2 nodes`.
+fn counted(count: usize, noun: &str) -> String {
+    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
+}
+
 /// UTC.
 fn clock(instant: i64) -> String {
     jiff::Timestamp::from_microsecond(instant)
         .map_or_else(|_| "never".to_owned(), |at| at.strftime("%d %b %H:%M").to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_planner::{Frame, Interval, Job, Node, SharedCache, WorkTotal};
+
+    const HOUR: i64 = 3_600_000_000;
+
+    fn reported(jobs: Vec<Job>) -> String {
+        let node = |id| Node {
+            id,
+            name: format!("node-{id}"),
+            speed: 1,
+            calendar: vec![Interval { start: 0, end: Some(4 * HOUR) }],
+            ..Node::default()
+        };
+        let input = Input { nodes: vec![node(1)], jobs, ..Input::default() };
+        let found = plan(&input).unwrap();
+        let document = Document {
+            plan_id: found.id().to_string(),
+            plan: found,
+            simulation: None,
+            explanations: Vec::new(),
+            job: None,
+            what_if: Vec::new(),
+            jobs: Vec::new(),
+            nodes: Vec::new(),
+        };
+        report(&input, &document)
+    }
+
+    fn job(id: u64, hours: &[u64]) -> Job {
+        let total = hours.iter().sum::<u64>() * 3600;
+        Job {
+            id,
+            name: format!("job-{id}"),
+            total: WorkTotal { p50: total, p80: total, p95: total },
+            frames: (0..)
+                .zip(hours)
+                .map(|(number, &h)| Frame { number, work: h * 3600, ..Frame::default() })
+                .collect(),
+            ..Job::default()
+        }
+    }
+
+    #[test]
+    fn one_thing_is_not_told_as_several_and_a_cache_without_a_place_is_named() {
+        let one = reported(vec![job(1, &[1]), job(2, &[9])]);
+        assert!(one.contains(": 1 booking in 1 rental for"), "{one}");
+        assert!(one.contains("1 frame has no free node"), "{one}");
+        let two = reported(vec![job(1, &[1, 1]), job(2, &[9, 9])]);
+        assert!(two.contains(": 2 bookings in 1 rental for"), "{two}");
+        assert!(two.contains("2 frames have no free node"), "{two}");
+        let shared_cache = Some(SharedCache { class: 0, work: 9 * 3600, parts: 1 });
+        let cached = reported(vec![Job { shared_cache, ..job(1, &[1]) }]);
+        assert!(cached.contains("its shared cache has no free node"), "{cached}");
+        let late = Job { deadline: Some(HOUR), ..job(1, &[2]) };
+        let short = reported(vec![late]);
+        assert!(short.contains(": 1 node needed in full"), "{short}");
+    }
 }

@@ -33,6 +33,7 @@ use forelight_terminal::output::{self, Bars, RenderBar};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::{Stopping, allotment_failure};
+use forelight_terminal::words::counted;
 use forelight_tracer::{Cache, Image, Profile};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -127,6 +128,7 @@ enum Format {
 }
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    args.allot.check()?;
     if args.farm.is_asked() {
         return on_farm::run(&args, &interrupt).await;
     }
@@ -368,7 +370,7 @@ fn report(stats: &RenderStats, effects: EffectsSwitch) -> String {
     let mut text = table.render();
     let RenderStats { frame, width, height, spp, .. } = stats;
     text += explain::WORK_FOR_RAYS;
-    text += &format!("\nframe {frame}, {width} x {height}, {spp} samples per pixel\n");
+    text += &format!("\nframe {frame}, {width} x {height}, {} per pixel\n", counted(*spp, "sample"));
     text += &stats.allotted.as_deref().map_or_else(String::new, allot::report);
     text += &stats.denoised.as_ref().map_or_else(String::new, denoised);
     let code = match effects {

@@ -1,6 +1,7 @@
 //! `forelight render --server`: renders one frame on the farm, and shows it as its parts come in.
 
 use super::{Args, EffectsSwitch, Format, format_of};
+use crate::commands::submit::report::ended;
 use crate::commands::submit::upload::upload;
 use crate::commands::submit::{self, division};
 use crate::connection::{ConnectionOptions, Credentials, ServerOptions, connect};
@@ -20,6 +21,7 @@ use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{seconds, with_local_times};
+use forelight_terminal::words::counted;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -97,9 +99,9 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     };
     if done.state != JobState::Done {
         bail!(
-            "job {} was not rendered, it is {}: {}",
+            "job {} was not rendered, it {}: {}",
             done.id,
-            done.state,
+            ended(done.state),
             done.error.as_deref().unwrap_or("no reason was given")
         );
     }
@@ -203,7 +205,7 @@ fn words(job: &Job, tasks: &[TaskRow]) -> String {
     let done = parts().filter(|task| task.finished.is_some()).count();
     match parts().count() {
         0 => job.state.to_string(),
-        all => format!("{}, {done} of {all} parts", job.state),
+        all => format!("{}, {done} of {}", job.state, counted(all, "part")),
     }
 }
 

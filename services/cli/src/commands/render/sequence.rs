@@ -13,6 +13,7 @@ use forelight_terminal::json_file;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::{counted, is_or_are};
 use std::path::PathBuf;
 
 /// The files of one frame.
@@ -76,7 +77,8 @@ pub fn render(args: &Args, frames: &FrameSet, interrupt: &Interrupt) -> Result<(
     if finished.len() as u64 == frames.count() {
         return Ok(());
     }
-    Err(Interrupted).with_context(|| format!("{} of {} frames are finished", finished.len(), frames.count()))
+    let (done, all) = (finished.len(), counted(frames.count(), "frame"));
+    Err(Interrupted).with_context(|| format!("{done} of {all} {} finished", is_or_are(frames.count())))
 }
 
 fn report(finished: &[RenderStats]) -> String {

@@ -8,6 +8,7 @@ mod table;
 use self::cases::{month, promises, shots, stills};
 use self::runner::{Document, Runner};
 use self::table::text;
+use crate::job_options::svg_file;
 use anyhow::Result;
 use clap::ValueEnum;
 use forelight_planner::{Confidence, Description};
@@ -48,16 +49,16 @@ pub struct Args {
     /// Run a fixed case and check its result against the required one
     #[arg(long, value_enum, conflicts_with_all = ["nodes", "jobs", "frames", "days", "frame_minutes", "confidence", "parts", "policy", "pool"])]
     scenario: Option<Case>,
-    /// Number of nodes
+    /// Number of nodes, 10 to 10,000
     #[arg(long, value_name = "COUNT", default_value_t = 100, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     nodes: u64,
-    /// Number of jobs
+    /// Number of jobs, 1 to 1,000
     #[arg(long, value_name = "COUNT", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..=1_000))]
     jobs: u64,
-    /// Mean number of frames of a job
+    /// Mean number of frames of a job, 1 to 10,000
     #[arg(long, value_name = "COUNT", default_value_t = 40, value_parser = clap::value_parser!(u64).range(1..=10_000))]
     frames: u64,
-    /// Number of days over which the jobs come in
+    /// Number of days over which the jobs come in, 1 to 365
     #[arg(long, value_name = "COUNT", default_value_t = 7, value_parser = clap::value_parser!(u64).range(1..=365))]
     days: u64,
     /// Typical time of a frame on a node of speed 1, minutes. Nodes have speeds from 0.6 to 3
@@ -105,7 +106,7 @@ pub struct Args {
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
     seed: u64,
     /// Draw utilisation over time, and cost against jobs in time, into this SVG file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]
     svg: Option<PathBuf>,
     /// Print all results as JSON to standard output
     #[arg(long)]

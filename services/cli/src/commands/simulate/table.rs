@@ -3,6 +3,7 @@
 use super::runner::{Document, Simulated};
 use forelight_terminal::quantities::money;
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 
 pub(super) fn hours(hours: f64) -> String {
     format!("{hours:.2} h")
@@ -12,8 +13,11 @@ pub(super) fn text(document: &Document) -> String {
     let mut text = String::new();
     for world in &document.worlds {
         text += &format!(
-            "{}: {} nodes, {} jobs, seed {}\n\n",
-            world.name, world.nodes, world.jobs, world.chances.seed
+            "{}: {}, {}, seed {}\n\n",
+            world.name,
+            counted(world.nodes, "node"),
+            counted(world.jobs, "job"),
+            world.chances.seed
         );
         text += &table(world).render();
         if let Some(first) = world.reports.first() {

@@ -6,7 +6,7 @@ use forelight_forecast::FIRST_FRAMES;
 use forelight_protocol::{
     Event, EventId, EventKind, Job, JobId, JobState, LiveForecast, TaskId, TaskKind, Timestamp,
 };
-use forelight_terminal::failure::Interrupted;
+use forelight_terminal::failure::StoppedWatching;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::{seconds, with_local_times};
@@ -62,7 +62,8 @@ pub async fn follow(client: &Client, job: Job, bars: &Bars, interrupt: &Interrup
     tokio::select! {
         followed = followed => followed,
         () = stopped.cancelled() => {
-            Err(anyhow::Error::from(Interrupted).context(format!("job {id} goes on; follow it with --job {id}")))
+            let again = format!("forelight submit --job {id} --follow");
+            Err(StoppedWatching(format!("stopped following; job {id} goes on ({again})")).into())
         }
     }
 }

@@ -3,12 +3,13 @@
 use crate::contact_sheet::{Cell, contact_sheet, thumbnail};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, ClientError, FramePicture};
-use forelight_protocol::{ArtifactHash, FrameRow, Job, ProblemKind};
+use forelight_protocol::{ArtifactHash, FrameArtifacts, FrameRow, FrameSet, FrameState, Job, ProblemKind};
 use forelight_renderer_own::png;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
+use forelight_terminal::words::{counted, was_or_were};
 use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,13 @@ const PICTURES: [(FramePicture, &str); 4] = [
     (FramePicture::Preview, "-preview.png"),
 ];
 
+/// File name of the contact sheet.
+pub const SHEET: &str = "contact-sheet.png";
+
 /// Writes the pictures of all finished frames and a contact sheet into `folder`.
+///
+/// # Errors
+/// If pictures are gone from the farm. The others are written then, without a contact sheet.
 pub async fn fetch(
     client: &Client,
     job: &Job,
@@ -33,6 +40,7 @@ pub async fn fetch(
     bars: &Bars,
     interrupt: &Interrupt,
 ) -> Result<()> {
+    let deleted = deleted(frames);
     let wanted: Vec<File> = frames.iter().flat_map(|row| files(row, folder)).collect();
     let bar = bars.bar("fetching", wanted.len() as u64);
     let fetched = futures::stream::iter(wanted).map(|file| {
@@ -72,8 +80,35 @@ pub async fn fetch(
             damaged.join(", ")
         );
     }
+    if let Some(deleted) = deleted {
+        bail!("{}; {}", were_deleted(&deleted), again(job, &deleted));
+    }
     let (rows, folder) = (frames.to_vec(), folder.to_owned());
     tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await?
+}
+
+/// The frames that were finished and whose images the farm deleted, because their time was over.
+pub fn deleted(frames: &[FrameRow]) -> Option<FrameSet> {
+    FrameSet::from_frames(frames.iter().filter(|row| is_deleted(row)).map(|row| row.frame))
+}
+
+/// Whether the image of a frame was deleted. A result always comes with one.
+pub fn is_deleted(row: &FrameRow) -> bool {
+    let FrameArtifacts { image_png, image_exr, .. } = &row.artifacts;
+    row.state == FrameState::Done && image_png.is_none() && image_exr.is_none()
+}
+
+/// Whose images are gone, in words.
+pub fn were_deleted(frames: &FrameSet) -> String {
+    let count = frames.count();
+    let images = if count == 1 { "the image" } else { "the images" };
+    format!("{images} of {} {} deleted", counted(count, "frame"), was_or_were(count))
+}
+
+/// How images that were deleted are made again, in words.
+pub fn again(job: &Job, frames: &FrameSet) -> String {
+    let make = if frames.count() == 1 { "makes it again" } else { "makes them again" };
+    format!("`forelight retry {} --frames {frames}` {make}", job.id)
 }
 
 struct File {
@@ -111,5 +146,39 @@ fn write_sheet(frames: &[FrameRow], folder: &Path) -> Result<()> {
             cost_map: load(row, FramePicture::CostMap)?,
         });
     }
-    write_bytes(&folder.join("contact-sheet.png"), &png(&contact_sheet(&cells))?)
+    write_bytes(&folder.join(SHEET), &png(&contact_sheet(&cells))?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commands::status::tests::job;
+    use serde_json::json;
+
+    fn row(frame: u32, state: &str, png: Option<ArtifactHash>) -> FrameRow {
+        let artifacts =
+            json!({"preview_png": null, "cost_map_png": null, "image_png": png, "image_exr": null});
+        serde_json::from_value(json!({
+            "frame": frame, "state": state, "forecast": null, "actual": null, "work": null,
+            "cpu_seconds": null, "booked": null, "node": null, "attempts": 1, "progress": 1.0,
+            "started": null, "finished": null, "artifacts": artifacts, "error": null,
+        }))
+        .expect("a frame")
+    }
+
+    #[test]
+    fn images_that_were_deleted_are_counted_and_can_be_made_again() {
+        let there = Some(ArtifactHash([7; 32]));
+        let rows =
+            [row(0, "done", None), row(1, "done", there), row(2, "done", None), row(3, "failed", None)];
+        let gone = deleted(&rows).expect("two are gone");
+        assert_eq!(were_deleted(&gone), "the images of 2 frames were deleted");
+        assert_eq!(
+            again(&job(), &gone),
+            format!("`forelight retry {} --frames 0,2` makes them again", job().id)
+        );
+        let one = deleted(&rows[..1]).expect("one is gone");
+        assert_eq!(were_deleted(&one), "the image of 1 frame was deleted");
+        assert_eq!(deleted(&rows[1..2]), None);
+    }
 }

@@ -2,8 +2,8 @@
 
 mod follow;
 mod foreign;
-mod images;
-mod report;
+pub mod images;
+pub mod report;
 pub mod upload;
 
 use super::allot::error_target;
@@ -11,9 +11,12 @@ use super::cache_error::CacheErrorOption;
 use super::cancel::find_any;
 use super::video;
 use super::worker::task_limits;
+use crate::arguments::Flags;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
+use crate::failure::in_words;
 use crate::job_options::deadline;
+use crate::named;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
 use forelight_protocol::{
@@ -21,6 +24,7 @@ use forelight_protocol::{
     JobState, Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest,
     RendererRequest, SceneSummary, Timestamp, VideoRequest, Within,
 };
+use forelight_terminal::atomic_file;
 use forelight_terminal::failure::{BadInput, Interrupted};
 use forelight_terminal::foreign::{OwnSetting, is_foreign, own_setting, refuse_own_settings};
 use forelight_terminal::interrupt::Interrupt;
@@ -28,6 +32,7 @@ use forelight_terminal::local::settings_request;
 use forelight_terminal::options::{MachineOptions, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
+use forelight_terminal::words::counted;
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
@@ -101,10 +106,10 @@ pub struct Args {
     /// Project of the job
     #[arg(long, value_name = "NAME", default_value = "default")]
     project: String,
-    /// Priority among jobs with the same deadline. A larger number goes first
+    /// Priority among jobs with the same deadline, -1000 to 1000. A larger number goes first
     #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: i32,
-    /// Value of the job among jobs of equal priority. A job of 2 counts as much as two of 1
+    /// Value of the job among jobs of equal priority, 1 to 1000. A job of 2 counts as much as two of 1
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
     weight: u32,
     /// Number of pixels to profile in each profiled frame, 16 to a million
@@ -154,7 +159,7 @@ pub struct Args {
     task_time: Option<std::time::Duration>,
     /// Idempotency key: a second submission with the same key submits nothing. Set the deadline as an instant
     /// then, because 2h from now differs each time
-    #[arg(long, value_name = "UUID")]
+    #[arg(long, value_name = "UUID", value_parser = named::id::<Uuid>)]
     idempotency_key: Option<Uuid>,
     /// Wait with the complete quote until `forelight accept`. Book nothing before
     #[arg(long, conflicts_with_all = ["job", "out"])]
@@ -188,6 +193,9 @@ fn renderer(text: &str) -> Result<RendererRequest, String> {
 }
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
+    // The sheet is written last, after everything else was done.
+    atomic_file::check([args.out.as_ref().map(|folder| folder.join(images::SHEET)).as_deref()])
+        .context("--out")?;
     let bars = Bars::new(args.json);
     let client = connect(&args.connection)?;
     let job = match (&args.job, &args.bundle) {
@@ -201,7 +209,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     if !args.follow && args.out.is_none() {
         return if args.json { output::json(&job) } else { output::line(job.id.to_string()) };
     }
-    bars.note(format!("job {} \"{}\", {} frames", job.id, job.name, job.frames_total));
+    bars.note(format!("job {} \"{}\", {}", job.id, job.name, counted(job.frames_total, "frame")));
     let mut job = follow::follow(&client, job, &bars, &interrupt).await?;
     if job.state == JobState::Quoted {
         return show_quote(&client, &job, args.json).await;
@@ -216,7 +224,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             match video::fetch(&client, job.id, (&file, false), &bars, &interrupt).await {
                 Ok(with_video) => job = with_video,
                 Err(error) if error.is::<Interrupted>() => return Err(error),
-                Err(error) => bars.note(format!("{error:#}")),
+                Err(error) => bars.note(in_words(&error, &Flags::default())),
             }
         }
     }
@@ -231,7 +239,7 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             bail!("the job failed: {}", job.error.as_deref().unwrap_or("no reason was given"))
         }
         state => {
-            bail!("the job is {state}; {} of {} frames were delivered", job.frames_done, job.frames_total)
+            bail!("the job is {state}; delivered: {}", report::delivered(job.frames_done, job.frames_total))
         }
     }
 }

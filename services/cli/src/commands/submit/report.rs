@@ -1,5 +1,6 @@
 //! Forecasts beside what was measured, frame by frame.
 
+use super::images::is_deleted;
 use crate::caches;
 use crate::storage::stored;
 use forelight_protocol::{
@@ -9,7 +10,9 @@ use forelight_protocol::{
 use forelight_terminal::output;
 use forelight_terminal::quantities::{clock, count, money, percent, seconds, with_local_times};
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 use serde::Serialize;
+use std::fmt::Display;
 
 #[derive(Debug, Serialize)]
 pub struct Document<'a> {
@@ -31,7 +34,7 @@ pub fn report(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], no
         ("on", Align::Left),
         ("started", Align::Right),
         ("finished", Align::Right),
-        ("", Align::Left),
+        ("remarks", Align::Left),
     ];
     let mut table = Table::new(&head);
     let time = |at: Option<Timestamp>| at.map_or("-".into(), |at| clock(at, now));
@@ -104,8 +107,11 @@ fn remark(row: &FrameRow) -> String {
     } else if row.attempts > 1 {
         remarks.push(format!("{} attempts", row.attempts));
     }
+    if is_deleted(row) {
+        remarks.push("its image was deleted".to_owned());
+    }
     if let Some(stats) = row.actual.as_ref().filter(|stats| stats.reused_pixels > 0) {
-        remarks.push(format!("{} pixels from profiling", stats.reused_pixels));
+        remarks.push(format!("{} from profiling", counted(stats.reused_pixels, "pixel")));
     }
     if let Some(given) = row.actual.as_ref().and_then(|stats| stats.allotted.as_deref()) {
         let AllottedStats { least, most, mean, error, .. } = given;
@@ -116,7 +122,7 @@ fn remark(row: &FrameRow) -> String {
     }
     let cache = row.actual.as_ref().and_then(|stats| stats.cache);
     if let Some(cache) = cache.filter(|cache| cache.reused_records > 0) {
-        remarks.push(format!("{} cache records from profiling", cache.reused_records));
+        remarks.push(format!("{} from profiling", counted(cache.reused_records, "cache record")));
     }
     if let Some(cache) = cache.filter(|cache| cache.shared_records > 0 || cache.dropped_records > 0) {
         remarks.push(format!(
@@ -153,7 +159,22 @@ pub fn quoted(job: &Job, forecast: &ForecastDoc, answers: &AnswersDoc, now: Time
         )
 }
 
-fn quote(job: &Job, quote: &ForecastDoc) -> String {
+/// So many of all frames, in words.
+pub fn delivered(done: impl Display, all: u32) -> String {
+    format!("{done} of {}", counted(all, "frame"))
+}
+
+/// What became of a job, after its name.
+pub fn ended(state: JobState) -> String {
+    match state {
+        JobState::Failed => "failed".to_owned(),
+        JobState::Cancelled => "was cancelled".to_owned(),
+        other => format!("is {other}"),
+    }
+}
+
+/// The quote of a job: CPU time, price, storage, caches.
+pub fn quote(job: &Job, quote: &ForecastDoc) -> String {
     let mut text = String::new();
     let shared = quote.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default();
     let cpu = quote.total.cpu_seconds.plus(&shared);
@@ -205,8 +226,8 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &format!("           {reason}\n");
         }
     }
-    let delivered = frames.iter().filter(|row| row.state == FrameState::Done).count();
-    text += &format!("delivered  {delivered} of {} frames", job.frames_total);
+    let done = frames.iter().filter(|row| row.state == FrameState::Done).count();
+    text += &format!("delivered  {}", delivered(done, job.frames_total));
     if let Some(finished) = job.finished_at.filter(|_| job.state == JobState::Done) {
         text += &format!(" by {}", clock(finished, now));
         if let Some(deadline) = job.deadline {
@@ -215,7 +236,7 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &format!(", {} {word}", seconds(late.unsigned_abs() as f64 * 1e-6));
         }
     } else if job.state != JobState::Done {
-        text += &format!("; the job is {}", job.state);
+        text += &format!("; the job {}", ended(job.state));
     }
     text + "\n"
 }

@@ -2,6 +2,7 @@
 
 use super::{after, hand_over};
 use crate::connection::{LOCAL, ServerOptions, read_token};
+use crate::data_folder;
 use anyhow::{Context, Result};
 use forelight_protocol::{JoinTokenRequest, Role, Timestamp, TokenKind, TokenRequest, UnknownRole};
 use forelight_store::Store;
@@ -44,9 +45,9 @@ pub struct Options {
     /// Create a one-time token, with which one machine joins the farm as a node
     #[arg(long, conflicts_with = "role")]
     one_time: bool,
-    /// Time for which a one-time token is valid, such as 24h
-    #[arg(long, value_name = "DURATION", default_value = "24h", value_parser = duration, requires = "one_time")]
-    valid: Duration,
+    /// Time for which a one-time token is valid, such as 24h [default: 24h]
+    #[arg(long, value_name = "DURATION", value_parser = duration)]
+    valid: Option<Duration>,
     /// Time until the token expires, such as 90d [default: never]
     #[arg(long, value_name = "DURATION", value_parser = duration, conflicts_with = "one_time")]
     expires: Option<Duration>,
@@ -63,6 +64,9 @@ pub struct Options {
     server: ServerOptions,
 }
 
+/// How long a one-time token is valid without --valid.
+const DAY: Duration = Duration::from_secs(24 * 3600);
+
 fn project(text: &str) -> Result<(String, Option<Role>), String> {
     match text.rsplit_once('=') {
         Some((name, role)) => {
@@ -76,6 +80,17 @@ pub async fn run(args: Options) -> Result<()> {
     let name = args.name.trim();
     if name.is_empty() || name.chars().count() > 200 {
         return Err(BadInput::new("--name: a name has 1 to 200 characters").into());
+    }
+    // clap would not require --one-time, which --role excludes.
+    if args.valid.is_some() && !args.one_time {
+        return Err(BadInput::new("--valid: only a one-time token has this; add --one-time")
+            .hint("--expires says when another token ends")
+            .into());
+    }
+    if args.token_file.is_none() && args.data.is_some() && args.server.is_named_by_flag() {
+        let reason = format!("--server {}: with --data, no service is asked", args.server.server);
+        let hint = "leave out --server, or replace --data by --token-file FILE with an operator's token";
+        return Err(BadInput::new(reason).hint(hint).into());
     }
     atomic_file::check([args.out.as_deref()])?;
     if args.token_file.is_none() && args.data.is_none() && args.server.server != LOCAL {
@@ -116,7 +131,7 @@ async fn by_the_service(args: &Options, token_file: &Path, request: Option<&Toke
     match request {
         Some(request) => Ok(client.create_token(request).await.context("cannot make the token")?.secret),
         None => {
-            let hours = args.valid.as_secs().div_ceil(3600);
+            let hours = args.valid.unwrap_or(DAY).as_secs().div_ceil(3600);
             let request = JoinTokenRequest {
                 name: args.name.trim().to_owned(),
                 valid_hours: u32::try_from(hours).unwrap_or(u32::MAX),
@@ -128,11 +143,7 @@ async fn by_the_service(args: &Options, token_file: &Path, request: Option<&Toke
 
 async fn in_the_folder(args: &Options, request: Option<&TokenRequest>) -> Result<String> {
     let data = args.data.clone().unwrap_or_else(|| PathBuf::from("farm-data"));
-    if !data.is_dir() {
-        return Err(BadInput::new(format!("--data {}: this folder does not exist", data.display()))
-            .hint("start the farm once, which creates the folder, or name another folder")
-            .into());
-    }
+    data_folder::check("--data", &data)?;
     let store = Store::open_beside(&data)
         .await
         .with_context(|| format!("cannot open the farm's data in {}", data.display()))?;
@@ -140,10 +151,31 @@ async fn in_the_folder(args: &Options, request: Option<&TokenRequest>) -> Result
     let secret = match request {
         Some(request) => store.create_token(request, now).await?.secret,
         None => {
-            let valid = i64::try_from(args.valid.as_micros()).unwrap_or(i64::MAX);
+            let valid = i64::try_from(args.valid.unwrap_or(DAY).as_micros()).unwrap_or(i64::MAX);
             store.create_join_token(args.name.trim(), valid, now).await?.token
         }
     };
     store.close().await;
     Ok(secret)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use forelight_terminal::options::parsed;
+
+    #[tokio::test]
+    async fn flags_that_would_have_no_effect_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().display().to_string();
+        for (words, flag) in [
+            (&["--role", "viewer", "--valid", "1h"][..], "--valid"),
+            (&["--role", "viewer", "--server", "http://farm:1"], "--server http://farm:1"),
+        ] {
+            let words = [&["token", "--data", data.as_str()][..], words].concat();
+            let error = run(parsed::<Options>(words)).await.unwrap_err();
+            assert!(error.to_string().contains(flag), "{error}");
+            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{flag}: a token was made");
+        }
+    }
 }

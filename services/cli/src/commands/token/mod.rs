@@ -3,7 +3,7 @@
 mod create;
 
 use crate::connection::{ConnectionOptions, connect};
-use crate::named::{Kind, the_one};
+use crate::named::{Kind, each, the_one};
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use forelight_client::Client;
@@ -179,17 +179,12 @@ pub async fn run(args: Args) -> Result<()> {
         }
         Some(Command::Revoke(revoke)) => {
             let client = connect(&revoke.connection)?;
-            // An unknown or ambiguous name fails the command before any token is revoked.
-            let mut found = Vec::with_capacity(revoke.tokens.len());
-            for token in &revoke.tokens {
-                found.push(find(&client, token).await?);
-            }
-            for token in found {
-                let Token { id, name, .. } = token;
+            each(&revoke.tokens, "revoked", async |wanted: &str| {
+                let Token { id, name, .. } = find(&client, wanted).await?;
                 client.revoke_token(id).await.with_context(|| format!("cannot revoke {name}"))?;
-                output::line(format!("{name} ({id}) is revoked"))?;
-            }
-            Ok(())
+                output::line(format!("{name} ({id}) is revoked"))
+            })
+            .await
         }
     }
 }
