@@ -229,7 +229,8 @@ impl Transport {
                 }
                 Ok(response) => {
                     let asked = retry_after(response.headers());
-                    let error = refusal(response).await;
+                    self.silence.lock().end();
+                    let error = refusal(request, response).await;
                     if !error.is_not_now() {
                         return Err(error);
                     }
@@ -260,12 +261,12 @@ impl Transport {
         loop {
             let response = self.send(request).await?;
             let (status, headers) = (response.status(), response.headers().clone());
-            match response.bytes().await {
+            match read(request, response).await {
                 Ok(body) => return Ok((status, headers, body)),
                 Err(source) => {
                     failures += 1;
                     let Some(wait) = self.backoff.jittered(failures, None) else {
-                        return Err(self.unreachable(request, source));
+                        return Err(self.no_answer(request, source));
                     };
                     tokio::time::sleep(wait).await;
                 }
@@ -398,7 +399,7 @@ async fn upload(
                 }
             }
             () = tokio::time::sleep(limit) => {
-                return Err(format!("the connection was silent for {} s", limit.as_secs()).into());
+                return Err(silent(limit));
             }
         }
     }
@@ -410,10 +411,26 @@ pub(crate) fn parameters(named: &[(&str, &str)]) -> String {
     named.iter().map(|(name, value)| format!("&{name}={}", escaped(value))).collect()
 }
 
+/// The whole body of a short answer.
+async fn read(request: &Request, response: Response) -> Result<Bytes, BoxError> {
+    let body = response.bytes();
+    // The client of long requests has no limit of its own.
+    let body = if request.payload.is_long() {
+        tokio::time::timeout(SILENCE, body).await.map_err(|_| silent(SILENCE))?
+    } else {
+        body.await
+    };
+    body.map_err(|error| error.without_url().into())
+}
+
+fn silent(limit: Duration) -> BoxError {
+    format!("the connection was silent for {} s", limit.as_secs()).into()
+}
+
 /// The error in the service's answer.
-async fn refusal(response: Response) -> ClientError {
+async fn refusal(request: &Request, response: Response) -> ClientError {
     let (status, url) = (response.status(), response.url().to_string());
-    let body = response.bytes().await.unwrap_or_default();
+    let body = read(request, response).await.unwrap_or_default();
     match serde_json::from_slice::<Problem>(&body) {
         Ok(problem) => ClientError::Refused(Box::new(problem)),
         Err(_) => {

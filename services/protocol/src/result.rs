@@ -246,7 +246,8 @@ pub struct MeasuredFrame {
     pub renderer: RendererId,
     /// In what the measured parts differ.
     pub varied: Varied,
-    /// How much of that the whole frame has: samples per pixel, pixels, or 1.
+    /// How much of that the whole frame has: samples per pixel, pixels, or 1. A million where pixels stop by their
+    /// noise: amounts are millionths of the samples that the frame takes.
     pub whole: u32,
     /// Measured costs, at two different amounts at least. At most 1000.
     #[schema(max_items = 1000)]

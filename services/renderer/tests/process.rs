@@ -328,8 +328,8 @@ fn a_session_whose_program_closes_its_output_and_goes_on_is_ended() {
     outside.with(quick(100), |o| {
         let mut session = Session::start(&program, &[], o).unwrap();
         while session.next(Instant::now(), o).unwrap().is_some() {}
-        let RendererError::Ended { last_lines, .. } = session.failure() else { panic!() };
-        assert_eq!(last_lines, ["last words"]);
+        let RendererError::Ended { ending, last_lines, .. } = session.failure() else { panic!() };
+        assert_eq!((ending, last_lines), (Ending::Closed, vec!["last words".to_owned()]));
         assert!(!lives(outside.pids("pid")[0]));
     });
 }

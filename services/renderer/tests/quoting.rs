@@ -21,7 +21,7 @@ struct Known {
     /// Cost of a sample of a pixel in frame 0, nanoseconds.
     unit: u64,
     /// Samples of a pixel if pixels stop by their noise.
-    stops_at: Option<u32>,
+    stops_at: Option<fn(i32) -> f64>,
     asked: Mutex<Vec<Part>>,
 }
 
@@ -62,8 +62,9 @@ impl Known {
     fn truth(&self) -> f64 {
         let Common { width, height, samples, .. } = self.description.settings.common;
         let whole = Region { x: 0, y: 0, width, height };
-        let samples = self.stops_at.unwrap_or(samples);
-        (0..24).map(|frame| self.cost(frame, samples, whole, width) as f64).sum()
+        let cost =
+            |frame, samples: f64| START as f64 + (self.cost(frame, 1, whole, width) - START) as f64 * samples;
+        (0..24).map(|frame| cost(frame, self.stops_at.map_or(f64::from(samples), |stops| stops(frame)))).sum()
     }
 
     fn quote(&self) -> ShotQuote {
@@ -140,8 +141,8 @@ impl Shot for Known {
             ids: None,
             artefact: None,
             stopping: self.stops_at.filter(|_| matches!(part, Part::Samples { offset: 0, .. })).map(
-                |samples| Stopping {
-                    samples: f64::from(samples) + 0.3,
+                |stops| Stopping {
+                    samples: stops(frame),
                     cost: Cost { cpu_nanos: START, ..Cost::default() },
                 },
             ),
@@ -179,12 +180,13 @@ fn any_renderer_is_quoted_by_what_it_can() {
 
 #[test]
 fn a_renderer_whose_pixels_stop_by_their_noise_is_quoted_by_the_samples_that_they_take() {
-    let shot = Known { stops_at: Some(20), ..Known::new(&[Capability::MeasureSamples], 1000) };
+    let shot = Known {
+        stops_at: Some(|frame| 20.3 + 0.4 * f64::from(frame)),
+        ..Known::new(&[Capability::MeasureSamples], 1000)
+    };
     let quote = shot.quote();
     let error = quote.document.total.cpu_seconds.mean / (shot.truth() * 1e-9) - 1.0;
     assert!(error.abs() < 0.01, "{error}");
-    let whole: Vec<u32> = quote.measured.iter().map(|frame| frame.result.whole).collect();
-    assert_eq!(whole, [20; 5]);
     // What it costs to know that is part of the quote.
     let spent: u64 = quote.measured.iter().map(|frame| frame.result.spent.cpu_nanos).sum();
     let asked = |part: &Part| matches!(part, Part::Samples { count, .. } if *count <= 20 / 4);

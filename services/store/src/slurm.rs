@@ -148,8 +148,8 @@ macro_rules! of_task {
 impl Store {
     /// The ready tasks that are in no open array, and those that are to be run a second time beside an
     /// attempt that makes no progress. What was lost before a task's last result, or before it began anew, does
-    /// not count. By deadline, priority, age of the job, and booked time. Videos are left to workers that have ffmpeg: Slurm does not
-    /// know which of its machines have it.
+    /// not count. By deadline, priority, age of the job, and booked time. Videos are left to workers that have
+    /// ffmpeg: Slurm does not know which of its machines have it.
     pub async fn waiting_for_slurm(&self) -> Result<Vec<Waiting>> {
         let rows = sqlx::query!(
             r#"SELECT t.id, t.job_id, t.kind, t.frame, j.name AS job, j.deadline_at, j.verdict, n.name AS "node?",

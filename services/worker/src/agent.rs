@@ -406,6 +406,7 @@ impl Agent {
                     return;
                 }
                 Ok(renewed) => {
+                    unwanted_since = None;
                     self.heed(&renewed, lease);
                     control.sent(&renewal.log);
                     renewed.divide_rest.into_iter().for_each(|parts| control.divide_rest(parts));

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 const LOOK: Duration = Duration::from_millis(100);
 
 /// Returns an error once the task of `control` exceeds a limit. Paused time does not count, nor does what the
-/// process had in memory `before` the task: other scenes, and the tasks of other workers.
+/// process had in memory `before` the task: other scenes, and tasks of other workers. What these add later does
+/// count: the system tells the memory of a process, not of a task.
 pub(crate) async fn gone_beyond(limits: TaskLimits, before: u64, control: &Control) -> ExecuteError {
     if limits.are_none() {
         return std::future::pending().await;

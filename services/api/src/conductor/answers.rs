@@ -49,14 +49,19 @@ pub(crate) fn answers(
     question: &Question,
 ) -> Result<Option<AnswersDoc>, AdvanceError> {
     let begun = Instant::now();
-    let asked = snapshot.jobs.iter_mut().find(|asked| asked.job.id == job);
-    if let (Some(asked), Some(deadline)) = (asked, question.deadline) {
-        asked.job.deadline = Some(deadline);
+    let mut is_held = false;
+    if let Some(asked) = snapshot.jobs.iter_mut().find(|asked| asked.job.id == job) {
+        asked.job.deadline = question.deadline.or(asked.job.deadline);
+        // The answers are of the time when its budget lets it go on.
+        is_held = std::mem::take(&mut asked.held);
     }
     let farm = Farm::new(&snapshot);
     let Some(place) = farm.place(job) else { return Ok(None) };
     let asking = Asking::new((&snapshot, &farm), place, question.budget)?;
     let mut document = asking.about_its_plan()?;
+    if is_held {
+        document.why_not.insert(0, held_back(&farm.jobs[place].job.project));
+    }
     asking.about_changes(&mut document, question, &|| begun.elapsed() < question.patience)?;
     Ok(Some(document))
 }
@@ -126,9 +131,6 @@ impl<'a> Asking<'a> {
         }
         if !self.kept {
             document.why_not = why_not(farm, around, plan, *job, self.budget);
-        }
-        if asked.held {
-            document.why_not.insert(0, held_back(&asked.job.project));
         }
         Ok(document)
     }

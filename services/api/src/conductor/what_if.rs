@@ -171,7 +171,8 @@ fn move_cache_parts(farm: &mut Snapshot, lost: NodeId) {
         let is_known = |node: NodeId| nodes_of.contains(&(part.booking.job_id, node));
         let place = free_from.iter_mut().min_by_key(|(node, free)| (!is_known(**node), **free));
         let Some((&node, free)) = place else { return };
-        // What was filled of a part under way is lost, at most the round.
+        // A part under way counts as a whole one, though at most its round is lost: how much of it is filled is not
+        // known here.
         let start = if part.under_way { *free } else { part.start.max(*free) };
         part.attempt = None;
         (part.node_id, part.start, part.end) = (node, start, start.plus_micros(part.length));

@@ -44,7 +44,7 @@ pub async fn run(args: Args) -> Result<()> {
         Ok(())
     })
     .await;
-    if args.json {
+    if args.json && (outcome.is_ok() || args.jobs.len() > 1) {
         output::json(&cancelled.into_inner())?;
     }
     outcome

@@ -130,6 +130,10 @@ pub async fn prune(args: PruneArgs) -> Result<()> {
 
 pub async fn delete(args: DeleteArgs) -> Result<()> {
     let client = connect(&args.connection)?;
+    // Nothing is deleted if one is not known.
+    for wanted in &args.jobs {
+        find_any(&client, wanted).await?;
+    }
     each(&args.jobs, "deleted", async |wanted: &str| {
         let id = find_any(&client, wanted).await?;
         client.delete_job(id).await.with_context(|| format!("cannot delete job {wanted}"))?;

@@ -72,6 +72,7 @@ impl SlurmOptions {
             ("--slurm-logs", self.slurm_logs.is_some()),
             ("--slurm-preview", self.slurm_preview != PreviewBackend::Auto),
             ("--slurm-price", self.slurm_price != 0),
+            ("--slurm-worker-option", !self.slurm_worker_option.is_empty()),
             ("--slurm-quote-limit", self.slurm_quote_limit != QUOTE_LIMIT),
             ("--slurm-reservations", self.slurm_reservations != "auto"),
             ("--slurm-poll", self.slurm_poll != POLL),

@@ -3716,7 +3716,8 @@ export interface components {
             varied: components["schemas"]["Varied"];
             /**
              * Format: int32
-             * @description How much of that the whole frame has: samples per pixel, pixels, or 1.
+             * @description How much of that the whole frame has: samples per pixel, pixels, or 1. A million where pixels stop by their
+             *     noise: amounts are millionths of the samples that the frame takes.
              */
             whole: number;
         };
@@ -5876,7 +5877,7 @@ export interface components {
         TaskLimits: {
             /**
              * Format: int64
-             * @description Resident memory of the worker's process during the task in bytes, 2²⁰ or more. If absent, unlimited.
+             * @description Resident memory that the task adds to the worker's process in bytes, 2²⁰ or more. If absent, unlimited.
              */
             memory_bytes?: number | null;
             /**

@@ -13,6 +13,8 @@ pub enum Ending {
     Code(i32),
     /// This signal ended it.
     Signal(i32),
+    /// It closed its input or output, went on, and had to be ended.
+    Closed,
 }
 
 /// Why a renderer has no answer. Every variant says what happened and where.
@@ -138,6 +140,7 @@ fn ended(ending: Ending) -> String {
     match ending {
         Ending::Code(code) => format!("ended with exit code {code}"),
         Ending::Signal(signal) => format!("was ended by signal {signal}"),
+        Ending::Closed => "closed its input or output and did not end".to_owned(),
     }
 }
 

@@ -257,7 +257,9 @@ impl Session {
         while let Ok(line) = self.lines.try_recv() {
             self.keep(&line);
         }
+        let goes_on = self.supervisor.as_ref().is_some_and(|thread| !thread.is_finished());
         match self.end(Stop::Closed) {
+            Some(_) if goes_on => self.explained(Ending::Closed),
             Some(ended) => self.verdict(&ended).err().unwrap_or_else(|| self.ended(Ending::Code(0))),
             None => self.ended(Ending::Code(-1)),
         }
@@ -309,12 +311,17 @@ impl Session {
             (Some(code), _) => Ending::Code(code),
             (None, signal) => Ending::Signal(signal.unwrap_or(0)),
         };
+        Err(self.explained(ending))
+    }
+
+    /// The error of such an end, or what the last lines say of it.
+    fn explained(&self, ending: Ending) -> RendererError {
         let lines: Vec<String> = self.last_lines.iter().cloned().collect();
         let error = self.ended(ending);
-        Err(match meaning(&lines, self.known) {
+        match meaning(&lines, self.known) {
             Some(told) => error.explained_by(told),
             None => error,
-        })
+        }
     }
 
     fn ended(&self, ending: Ending) -> RendererError {

@@ -72,6 +72,7 @@ pub fn measure_frame(
     let mut known_fixed: Vec<FixedCosts> = Vec::new();
     let (mut blocks, mut ids) = (None, None);
     let mut whole = whole(varied, settings);
+    let mut stops_at = None;
     let mut done = 0;
     while let Some(probe) = probes(varied, &can, settings, whole, turn).into_iter().nth(done) {
         done += 1;
@@ -83,6 +84,7 @@ pub fn measure_frame(
         if let Some(Stopping { samples, cost }) = &part.stopping {
             // Of so many samples, fewer are a small share.
             whole = (samples.round() as u32).clamp(1, whole);
+            stops_at = Some(*samples);
             spent += cost;
         }
         measured.extend(costs(varied, &probe, &part));
@@ -97,6 +99,11 @@ pub fn measure_frame(
         for cost in part.strata {
             *times.entry((cost.count.object, cost.count.material)).or_insert(0) += cost.nanos;
         }
+    }
+    if let Some(samples) = stops_at {
+        // Each frame has its own number of samples, so all are measured in parts of a frame.
+        measured.iter_mut().for_each(|cost| cost.amount = in_parts(cost.amount, samples));
+        whole = PARTS;
     }
     let time = |((object, material), nanos)| StratumTime { object, material, nanos };
     let result = MeasuredFrame {
@@ -113,6 +120,14 @@ pub fn measure_frame(
         peak_memory_bytes: spent.peak_memory_bytes,
     };
     Ok(Measurement { result, artefacts, blocks, ids })
+}
+
+/// Parts of a frame whose pixels stop by their noise.
+const PARTS: u32 = 1_000_000;
+
+/// So many samples in parts of a frame that has `whole`.
+fn in_parts(samples: u32, whole: f64) -> u32 {
+    (f64::from(samples) * f64::from(PARTS) / whole.max(1.0)).round() as u32
 }
 
 /// The mean of fixed costs, by name. What is absent from one of them is 0 there.

@@ -72,8 +72,8 @@ pub(super) fn whole(varied: Varied, settings: &Settings) -> u32 {
     }
 }
 
-/// The parts to measure of a frame that has so much of what is varied, cheap ones first. `turn` is the number of frames that are measured before this one:
-/// regions are spread over the measured frames together.
+/// The parts to measure of a frame that has so much of what is varied, cheap ones first. `turn` is the number of
+/// frames that are measured before this one: regions are spread over the measured frames together.
 pub(super) fn probes(
     varied: Varied,
     can: &Capabilities,

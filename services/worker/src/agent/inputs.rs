@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use forelight_client::ClientError;
-use forelight_protocol::{CACHE_BYTES, Lease, LogLevel, ProblemKind, TaskSpec};
+use forelight_protocol::{BundleSource, CACHE_BYTES, Lease, LogLevel, ProblemKind, TaskSpec};
 use forelight_renderer::{Assignment, Control, ExecuteError};
 use tempfile::TempDir;
 
@@ -40,7 +40,14 @@ impl Agent {
             }
         };
         if lease.spec.bundle().is_some() && !tokio::fs::try_exists(&fetched.bundle).await.unwrap_or(true) {
-            return Err(ExecuteError::Input(format!("bundle {} is gone", fetched.bundle.display())));
+            let message = format!("bundle {} is gone", fetched.bundle.display());
+            // A fetched one made room on a full disk, and can be fetched again.
+            let is_fetched = matches!(lease.spec.bundle(), Some(BundleSource::Artifact(_)));
+            return Err(if is_fetched {
+                ExecuteError::Transient(message)
+            } else {
+                ExecuteError::Input(message)
+            });
         }
         let what = if pictures.is_some() { "pictures" } else { "bundle" };
         control.log(LogLevel::Info, format!("{what} fetched"));

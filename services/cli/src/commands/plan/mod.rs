@@ -16,6 +16,7 @@ use forelight_terminal::json_file;
 use forelight_terminal::output;
 use forelight_terminal::quantities::{money, parse_duration, parse_money, seconds};
 use forelight_terminal::table::{Align, Table};
+use forelight_terminal::words::counted;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -374,11 +375,6 @@ fn describe(input: &Input, effect: &Effect) -> String {
 
 fn job_name(input: &Input, id: u64) -> String {
     input.jobs.iter().find(|job| job.id == id).map(|job| job.name.clone()).unwrap_or_default()
-}
-
-/// `1 node`, `2 nodes`.
-fn counted(count: usize, noun: &str) -> String {
-    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
 /// UTC.

@@ -28,10 +28,11 @@ const PICTURES: [(FramePicture, &str); 4] = [
 /// File name of the contact sheet.
 pub const SHEET: &str = "contact-sheet.png";
 
-/// Writes the pictures of all finished frames and a contact sheet into `folder`.
+/// Writes the pictures of all finished frames and a contact sheet into `folder`. Says which frames' images were
+/// deleted on the farm: the others are written then, without a contact sheet.
 ///
 /// # Errors
-/// If pictures are gone from the farm. The others are written then, without a contact sheet.
+/// If pictures are lost or damaged on the farm. The others are written then, without a contact sheet.
 pub async fn fetch(
     client: &Client,
     job: &Job,
@@ -39,7 +40,7 @@ pub async fn fetch(
     folder: &Path,
     bars: &Bars,
     interrupt: &Interrupt,
-) -> Result<()> {
+) -> Result<Option<FrameSet>> {
     let deleted = deleted(frames);
     let wanted: Vec<File> = frames.iter().flat_map(|row| files(row, folder)).collect();
     let bar = bars.bar("fetching", wanted.len() as u64);
@@ -80,11 +81,12 @@ pub async fn fetch(
             damaged.join(", ")
         );
     }
-    if let Some(deleted) = deleted {
-        bail!("{}; {}", were_deleted(&deleted), again(job, &deleted));
+    if deleted.is_some() {
+        return Ok(deleted);
     }
     let (rows, folder) = (frames.to_vec(), folder.to_owned());
-    tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await?
+    tokio::task::spawn_blocking(move || write_sheet(&rows, &folder)).await??;
+    Ok(None)
 }
 
 /// The frames that were finished and whose images the farm deleted, because their time was over.

@@ -216,8 +216,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
     }
     let frames = client.frames(job.id).await.context("cannot read the frames")?;
     let forecast = client.forecast(job.id).await.ok();
+    let mut deleted = None;
     if let Some(folder) = &args.out {
-        images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
+        deleted = images::fetch(&client, &job, &frames, folder, &bars, &interrupt).await?;
         if job.state == JobState::Done && job.video.is_some() {
             // The frames are what was asked for: they are reported whatever becomes of the video.
             let file = folder.join("video.mp4");
@@ -232,6 +233,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         output::json(&report::Document { job: &job, forecast: forecast.as_ref(), frames: &frames })?;
     } else {
         output::print(&report::report(&job, forecast.as_ref(), &frames, Timestamp::now()))?;
+    }
+    if let Some(deleted) = deleted {
+        bail!("{}; {}", images::were_deleted(&deleted), images::again(&job, &deleted));
     }
     match job.state {
         JobState::Done => Ok(()),

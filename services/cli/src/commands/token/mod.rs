@@ -179,6 +179,10 @@ pub async fn run(args: Args) -> Result<()> {
         }
         Some(Command::Revoke(revoke)) => {
             let client = connect(&revoke.connection)?;
+            // Nothing is revoked if one is not known.
+            for wanted in &revoke.tokens {
+                find(&client, wanted).await?;
+            }
             each(&revoke.tokens, "revoked", async |wanted: &str| {
                 let Token { id, name, .. } = find(&client, wanted).await?;
                 client.revoke_token(id).await.with_context(|| format!("cannot revoke {name}"))?;
