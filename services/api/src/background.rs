@@ -121,7 +121,7 @@ async fn delete_nightly(app: &App) {
         let last = match app.store.last_prune().await {
             Ok(last) => last,
             Err(error) => {
-                tracing::warn!(%error, "when anything was last deleted is not known; trying again soon");
+                tracing::warn!(%error, "cannot read the time of the last deletion; trying again in ten minutes");
                 continue;
             }
         };
@@ -137,7 +137,7 @@ async fn delete_nightly(app: &App) {
         if deletion == Deletion::Due
             && let Err(error) = delete(app).await
         {
-            tracing::warn!(%error, "what is past its time was not deleted; trying again soon");
+            tracing::warn!(%error, "cannot delete what is past its time; trying again in ten minutes");
         }
     }
 }

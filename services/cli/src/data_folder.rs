@@ -10,7 +10,7 @@ pub fn check(flag: &str, folder: &Path) -> Result<(), BadInput> {
     let wrong = |why: String| BadInput::new(format!("{flag} {}: {why}", folder.display()));
     match std::fs::metadata(folder) {
         Ok(about) if about.is_dir() => Ok(()),
-        Ok(_) => Err(wrong("this is no folder".to_owned()).hint(NAME_IT)),
+        Ok(_) => Err(wrong("this is not a folder".to_owned()).hint(NAME_IT)),
         Err(error) if error.kind() == ErrorKind::NotFound => {
             Err(wrong("this folder does not exist".to_owned()).hint(NAME_IT))
         }
@@ -25,14 +25,14 @@ pub fn check_farm(flag: &str, folder: &Path) -> Result<(), BadInput> {
     match std::fs::metadata(folder.join(DATABASE)) {
         Ok(about) if about.is_file() => Ok(()),
         Err(error) if error.kind() != ErrorKind::NotFound => {
-            Err(wrong(&error.to_string()).hint("a farm's folder can be read by its user alone"))
+            Err(wrong(&error.to_string()).hint("run this command as the user that runs the farm"))
         }
-        _ => Err(wrong("this folder holds no farm").hint(NAME_IT)),
+        _ => Err(wrong("this folder does not contain a farm").hint(NAME_IT)),
     }
 }
 
 const NAME_IT: &str =
-    "name the folder that the farm's service has as --data; the first start of a farm makes it";
+    "use the same --data folder as `forelight farm` or `forelight serve`; the first start of a farm makes it";
 
 #[cfg(test)]
 mod tests {
@@ -42,10 +42,10 @@ mod tests {
     fn a_folder_that_holds_no_farm_is_told_from_one_that_is_missing() {
         let folder = tempfile::tempdir().unwrap();
         let said = |path: &Path| check_farm("--data", path).unwrap_err().to_string();
-        assert!(said(folder.path()).ends_with("this folder holds no farm"));
+        assert!(said(folder.path()).ends_with("this folder does not contain a farm"));
         assert!(said(&folder.path().join("none")).ends_with("none: this folder does not exist"));
         std::fs::write(folder.path().join(DATABASE), "").unwrap();
         check_farm("--data", folder.path()).unwrap();
-        assert!(said(&folder.path().join(DATABASE)).ends_with("this is no folder"));
+        assert!(said(&folder.path().join(DATABASE)).ends_with("this is not a folder"));
     }
 }

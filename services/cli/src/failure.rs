@@ -233,7 +233,7 @@ fn problem_hint(problem: &Problem, flags: &Flags) -> Option<String> {
              `forelight token`"
                 .into(),
         ),
-        (403, _) => Some("this needs a token with another role; see `forelight token --help`".into()),
+        (403, _) => Some("this token may not do that: another role or another node's token is needed; see `forelight token --help`".into()),
         // What is wrong with a bundle is said with its file and place.
         (_, Some(pointer)) if !pointer.starts_with("/bundle") && wrong_flag(problem, flags).is_none() => {
             Some(format!("the wrong field of the request is {pointer}"))

@@ -109,7 +109,7 @@ impl Request {
 const SHORT_REQUEST: Duration = Duration::from_secs(30);
 /// A transfer that is silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
-/// What was uploaded is still under way for a while, and then looked at: of a large scene, this takes minutes.
+/// After an upload, the service still receives and checks the body: of a large scene, this takes minutes.
 const ANSWER_TO_UPLOAD: Duration = Duration::from_secs(900);
 
 /// An idle connection is closed after this, before the service closes it: a request could meet its end.
@@ -146,7 +146,7 @@ impl Silence {
         is_due
     }
 
-    /// Whether it has ended, and was spoken of.
+    /// Whether a silence that was reported has ended.
     fn end(&mut self) -> bool {
         self.said.take().is_some()
     }

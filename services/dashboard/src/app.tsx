@@ -99,9 +99,9 @@ function FailedLate() {
   if (!failed) return null;
   return (
     <div class="failed-late">
-      <Trouble error={new Error(`“${failed.title}” failed: ${failed.error.message}`)} />
+      <Trouble error={new Error(`${failed.title} Failed: ${failed.error.message}`)} />
       <button type="button" class="plain" onClick={() => (failedLate.value = null)}>
-        I have read it
+        Dismiss
       </button>
     </div>
   );

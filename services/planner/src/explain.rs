@@ -120,7 +120,9 @@ impl fmt::Display for Reason {
             }
             Reason::Cheaper => write!(f, "waits because it is cheaper later and still in time"),
             Reason::Sooner => write!(f, "waits because it ends sooner where it is booked"),
-            Reason::Booked => write!(f, "waits because it is booked later, though a node is free before"),
+            Reason::Booked => {
+                write!(f, "waits because its booked start is later, although a node is free earlier")
+            }
         }
     }
 }

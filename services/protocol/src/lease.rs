@@ -57,7 +57,7 @@ pub struct Lease {
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TaskLimits {
-    /// Resident memory that the task adds to the worker's process in bytes, 2²⁰ or more. If absent, unlimited.
+    /// Growth of the worker's resident memory during the task in bytes, 2²⁰ or more. If absent, unlimited.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = 1_048_576)]
     pub memory_bytes: Option<u64>,

@@ -246,8 +246,8 @@ pub struct MeasuredFrame {
     pub renderer: RendererId,
     /// In what the measured parts differ.
     pub varied: Varied,
-    /// How much of that the whole frame has: samples per pixel, pixels, or 1. A million where pixels stop by their
-    /// noise: amounts are millionths of the samples that the frame takes.
+    /// How much of that the whole frame has: samples per pixel, pixels, or 1. With adaptive sampling, it is
+    /// 1,000,000, and amounts are millionths of the frame's mean samples per pixel.
     pub whole: u32,
     /// Measured costs, at two different amounts at least. At most 1000.
     #[schema(max_items = 1000)]

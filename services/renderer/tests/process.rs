@@ -2,7 +2,7 @@
 
 use forelight_protocol::{JobId, TaskSpec, VideoSpec};
 use forelight_renderer::door::{Ending, Limits, Pause, RendererError, Run};
-use forelight_renderer::process::{Finished, Line, Program, Session, run};
+use forelight_renderer::process::{Finished, Line, Program, Session, end_orphans, run};
 use forelight_renderer::{Assignment, Control, ExecuteError, with_run};
 use parking_lot::Mutex;
 use std::path::Path;
@@ -252,6 +252,31 @@ fn memory_of_all_processes_together_is_limited() {
     let program = Program::new("/bin/sh", outside.folder.path()).arg("-c").arg("tail /dev/zero");
     let error = outside.with(limits, |o| run(&program, &[], o, &mut |_| {})).unwrap_err();
     assert!(matches!(error, RendererError::OutOfMemory(_)), "{error}");
+}
+
+#[test]
+fn what_programs_of_a_killed_process_left_is_ended_and_nothing_else() {
+    let outside = Outside::new();
+    // No process has the largest number. This one lives.
+    let script = format!(
+        "FORELIGHT_PROCESS={}-1 sleep 1000 & echo $! >pids; FORELIGHT_PROCESS={}-1 sleep 1000 & echo $! >>pids",
+        i32::MAX,
+        std::process::id()
+    );
+    let mut shell = std::process::Command::new("/bin/sh");
+    assert!(shell.arg("-c").arg(script).current_dir(outside.folder.path()).status().unwrap().success());
+    let pids = outside.pids("pids");
+    // They begin as copies of the shell, which has no mark.
+    let is_ended = || {
+        std::thread::sleep(Duration::from_millis(10));
+        end_orphans() > 0
+    };
+    assert!((0..1000).any(|_| is_ended()));
+    while lives(pids[0]) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert!(lives(pids[1]));
+    std::process::Command::new("kill").arg(pids[1].to_string()).status().unwrap();
 }
 
 #[test]

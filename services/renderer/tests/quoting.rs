@@ -181,7 +181,7 @@ fn any_renderer_is_quoted_by_what_it_can() {
 #[test]
 fn a_renderer_whose_pixels_stop_by_their_noise_is_quoted_by_the_samples_that_they_take() {
     let shot = Known {
-        stops_at: Some(|frame| 20.3 + 0.4 * f64::from(frame)),
+        stops_at: Some(|frame| 20.3 + 0.1 * f64::from(frame)),
         ..Known::new(&[Capability::MeasureSamples], 1000)
     };
     let quote = shot.quote();

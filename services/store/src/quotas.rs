@@ -13,7 +13,7 @@ use crate::jobs::submitting::NewJob;
 use crate::projects;
 use crate::writing::run;
 
-/// Bytes of a frame's files for each pixel, before a profile has measured them: those of most scenes.
+/// Expected bytes of a frame's files for each pixel: those of most scenes.
 const BYTES_OF_PIXEL: u64 = 35;
 
 /// Expected bytes of the files of a frame with these settings.

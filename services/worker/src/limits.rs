@@ -42,7 +42,7 @@ fn beyond(limits: TaskLimits, worked: Duration, memory: u64) -> Option<ExecuteEr
     }
     let limit = limits.memory_bytes.filter(|&limit| memory > limit)?;
     let message = format!(
-        "the task exceeded its memory limit of {} MiB (limits.memory_bytes = {limit}): it used {} MiB",
+        "the task exceeded its memory limit of {} MiB (limits.memory_bytes = {limit}): the worker grew by {} MiB",
         mebibytes(limit),
         mebibytes(memory)
     );

@@ -234,7 +234,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await page.route("**/cancel", (route) => answers.push(() => route.abort()));
     await press("Cancel job…");
     await press("Cancel the job");
-    await dialog.getByText("It is done even if you close this").waitFor();
+    await dialog.getByText("You can close this. The request continues").waitFor();
     await page.keyboard.press("Escape");
     await gone();
     await press("Change deadline or budget…");
@@ -252,7 +252,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     assert.equal(await dialog.count(), 1);
     await page.mouse.click(4, 4);
     await gone();
-    await press("I have read it");
+    await press("Dismiss");
   });
 
   await step("pauses a node, drains it, and takes it back", async () => {

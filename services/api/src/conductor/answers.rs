@@ -263,10 +263,10 @@ fn why_not(
             let short = plan.infeasible.iter().flat_map(|infeasible| &infeasible.short);
             for short in short.filter(|short| short.end - short.start >= SECOND) {
                 reasons.push(format!(
-                    "from {} to {} {} would be needed in full",
+                    "{} would have to be free from {} to {}",
+                    counted(short.nodes.len(), "node"),
                     Timestamp::from_micros(short.start),
-                    Timestamp::from_micros(short.end),
-                    counted(short.nodes.len(), "node")
+                    Timestamp::from_micros(short.end)
                 ));
             }
             let mut holders: Vec<u64> = around

@@ -88,8 +88,8 @@ pub(crate) struct Asked {
     pub under_way_in_time: f64,
     /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
-    /// Whether a budget holds it back. Its tasks are not handed out, so it takes time from nobody: its
-    /// bookings do not stand, and it is planned behind all others.
+    /// Whether a budget holds it back. Its tasks are not handed out, so it takes time from nobody:
+    /// plans take its bookings for free time, and it is planned behind all others.
     pub held: bool,
     /// Version of its terms, see [`FarmJob::terms`].
     pub terms: i64,

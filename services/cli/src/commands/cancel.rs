@@ -19,7 +19,7 @@ Examples:
   forelight cancel kitchen corridor --server http://farm:7878 --token-file me.token
 
 Finished frames stay available. A cancelled job cannot continue; submit it again instead. Cancelling a job \
-again changes nothing. Of several jobs, each is cancelled for itself: the exit code is 1 if one of them was not.")]
+again changes nothing. If one of several jobs cannot be cancelled, the others still are, and the exit code is 1.")]
 pub struct Args {
     /// Ids or names of the jobs. Of several jobs with a name, the only open one is meant
     #[arg(required = true, value_name = "JOB")]

@@ -27,8 +27,8 @@ Examples:
   forelight node rack-7 --maintenance 2026-03-01T08:00:00Z/2026-03-01T12:00:00Z --data farm-data
 
 A worker gets an order when it next renews its lease, within a few seconds. The column `state` shows whether the \
-worker has obeyed. A node that is named is shown with its terms. The farm sets a node aside after three jobs failed on it within a day; the list shows the reason. \
-The order `back` returns the node to service.
+worker has obeyed. With a name alone, the command shows the node's terms, too. The farm sets a node aside after three \
+jobs failed on it within a day; the list shows the reason. The order `back` returns the node to service.
 
 A node gets no tasks while its schedule says that it is asleep. Before a window ends, it gets only tasks that can end \
 in time. Every change makes the farm plan again, and move as few bookings as possible.")]

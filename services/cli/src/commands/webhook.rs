@@ -196,7 +196,7 @@ async fn tested(client: &Client, webhook: WebhookId) -> Result<String> {
         }
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    bail!("not sent yet; `forelight webhook deliveries` shows what becomes of it")
+    bail!("the test was not sent yet; see `forelight webhook deliveries`")
 }
 
 const WEBHOOKS: Kind = Kind {

@@ -159,14 +159,15 @@ pub fn secrets(data: &Path) -> Vec<PathBuf> {
     others.into_iter().chain(of_database).map(|name| data.join(name)).collect()
 }
 
-/// The bundle folder, the renderers, and this machine's capabilities. In a sandbox, renderers do not read what is
-/// hidden.
+/// The bundle folder, the renderers, and this machine's capabilities, for a worker that starts. In a sandbox,
+/// renderers do not read what is hidden.
 pub fn equipment(
     folder: &Path,
     preview: PreviewBackend,
     options: &RendererOptions,
     hidden: Vec<PathBuf>,
 ) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
+    end_orphans();
     let bundles = Bundles::new(folder)
         .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
     let mut renderer = OwnRenderer::new(preview_choice(preview));
@@ -194,6 +195,14 @@ pub fn equipment(
         ..machine()
     };
     Ok((Arc::new(bundles), Arc::new(renderers), capabilities))
+}
+
+/// Ends what programs of a killed worker left running: it would take this one's processors and memory.
+fn end_orphans() {
+    let number = forelight_renderer::process::end_orphans();
+    if number > 0 {
+        tracing::warn!(number, "processes that a killed worker's programs had left behind were ended");
+    }
 }
 
 /// The renderers besides our own. Logs those that were found, and why others were not.

@@ -3716,8 +3716,8 @@ export interface components {
             varied: components["schemas"]["Varied"];
             /**
              * Format: int32
-             * @description How much of that the whole frame has: samples per pixel, pixels, or 1. A million where pixels stop by their
-             *     noise: amounts are millionths of the samples that the frame takes.
+             * @description How much of that the whole frame has: samples per pixel, pixels, or 1. With adaptive sampling, it is
+             *     1,000,000, and amounts are millionths of the frame's mean samples per pixel.
              */
             whole: number;
         };
@@ -5877,7 +5877,7 @@ export interface components {
         TaskLimits: {
             /**
              * Format: int64
-             * @description Resident memory that the task adds to the worker's process in bytes, 2²⁰ or more. If absent, unlimited.
+             * @description Growth of the worker's resident memory during the task in bytes, 2²⁰ or more. If absent, unlimited.
              */
             memory_bytes?: number | null;
             /**

@@ -44,7 +44,7 @@ export function happen(events: readonly Event[]): void {
   happened.value = [...fresh, ...happened.peek()].sort((one, other) => other.id - one.id).slice(0, KEPT);
 }
 
-/** Of so many events before a document, those are asked for that people are told of. */
+/** How many events to look back before a document. */
 const BACK = 600;
 const LONGEST = 10_000;
 const TOGETHER = 250;
@@ -72,7 +72,7 @@ export function askEarlier(until: number): void {
     opened: () => undefined,
     broke: () => undefined,
   });
-  // Who does not see the last event of all waits for it in vain.
+  // A viewer may not be allowed to see the last event.
   const giveUp = setTimeout(() => end(), LONGEST);
   const end = () => {
     clearTimeout(giveUp);

@@ -17,7 +17,7 @@ export function Dialog(props: {
 }) {
   const element = useRef<HTMLDialogElement>(null);
   const id = useId();
-  // Who selects text and lets go outside closes nothing.
+  // A drag that ends outside does not close the dialog.
   const pressed = useRef<EventTarget | null>(null);
   useEffect(() => {
     const before = document.activeElement;
@@ -95,7 +95,7 @@ export function Confirm<T>(props: {
           <button type="button" onClick={props.close}>
             {state.busy ? "Close" : "Leave it"}
           </button>
-          {state.busy && <span class="muted">It is done even if you close this.</span>}
+          {state.busy && <span class="muted">You can close this. The request continues.</span>}
         </div>
       </form>
     </Dialog>

@@ -126,6 +126,26 @@ fn is_marked(pid: Pid, mark: &str) -> bool {
         .is_ok_and(|environment| environment.split(|&byte| byte == 0).any(|line| line == mark.as_bytes()))
 }
 
+/// Living processes whose environment has this name, with its value.
+pub(super) fn all_marked(name: &str) -> Vec<(Pid, String)> {
+    let value = |pid: Pid| {
+        let environment = fs::read(format!("/proc/{}/environ", pid.as_raw_nonzero())).ok()?;
+        let mut lines = environment.split(|&byte| byte == 0).filter_map(|line| str::from_utf8(line).ok());
+        let value = lines.find_map(|line| line.strip_prefix(name)?.strip_prefix('='))?.to_owned();
+        Some((pid, value))
+    };
+    pids().filter_map(value).collect()
+}
+
+/// Whether a program of the name of this one is among the ancestors of a process.
+pub(super) fn is_below_namesake(pid: Pid) -> bool {
+    let name = |of: &str| fs::read_to_string(format!("/proc/{of}/comm")).ok();
+    let own = name("self");
+    let parent_of = |pid: &Pid| process(*pid)?.parent;
+    std::iter::successors(parent_of(&pid), parent_of)
+        .any(|ancestor| own.is_some() && name(&ancestor.as_raw_nonzero().to_string()) == own)
+}
+
 /// Kills the process if it still has the mark. The descriptor keeps the number from naming another process.
 pub(super) fn kill_marked(pid: Pid, mark: &str) {
     if let Ok(process) = pidfd_open(pid, PidfdFlags::empty())

@@ -13,6 +13,7 @@
 //! | `exchange` | a running program that answers bytes |
 //! | `supervisor` | the thread that starts, measures, limits, ends and reaps it |
 //! | `group` | the processes of a run, by `/proc` |
+//! | `orphans` | what a killed process left behind |
 //! | `lines` | output as lines of bounded length |
 //! | `messages` | what known messages mean |
 //!
@@ -23,6 +24,7 @@ mod exchange;
 mod group;
 mod lines;
 mod messages;
+mod orphans;
 mod program;
 mod question;
 mod sandbox;
@@ -32,6 +34,7 @@ mod supervisor;
 pub use exchange::{Exchange, MOST_BYTES};
 pub use lines::{LONGEST_LINE, Line, Stream};
 pub use messages::{COMMON_MESSAGES, Meaning, Message};
+pub use orphans::end_orphans;
 pub use program::Program;
 pub use question::ask;
 pub use sandbox::Sandbox;

@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 use wait4::Wait4 as _;
 
 /// The variable that marks the processes of a run.
-const MARK: &str = "FORELIGHT_PROCESS";
+pub(super) const MARK: &str = "FORELIGHT_PROCESS";
 
 /// Time between two looks at orders and at the memory of the program itself.
 const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 20_000_000 };

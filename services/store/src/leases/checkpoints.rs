@@ -2,8 +2,8 @@
 //! the task ends.
 //!
 //! Checkpoints are not artefacts: nothing refers to them or depends on them, and the service never reads
-//! them. A pixel has the same bits on every worker, so any checkpoint of a task will do, however old. Only a
-//! task that begins anew, because a result was refused or its frame is rendered again, takes none of before.
+//! them. A pixel has the same bits on every worker, so any checkpoint of a task will do, however old. A task
+//! that begins anew, because a result was refused or its frame is rendered again, ignores earlier ones.
 //! Of a frame in passes, it may be from another pass: the worker takes only pixels that are not behind, and
 //! not beyond its own. A lost one costs time. The worker detects a damaged one by its checksum and ignores it.
 

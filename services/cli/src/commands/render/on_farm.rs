@@ -99,7 +99,7 @@ pub async fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     };
     if done.state != JobState::Done {
         bail!(
-            "job {} was not rendered, it {}: {}",
+            "job {} {} and was not rendered: {}",
             done.id,
             ended(done.state),
             done.error.as_deref().unwrap_or("no reason was given")

@@ -88,7 +88,10 @@ pub async fn run(args: Options) -> Result<()> {
             .into());
     }
     if args.token_file.is_none() && args.data.is_some() && args.server.is_named_by_flag() {
-        let reason = format!("--server {}: with --data, no service is asked", args.server.server);
+        let reason = format!(
+            "--server {}: cannot be used with --data, which makes the token in the farm's folder",
+            args.server.server
+        );
         let hint = "leave out --server, or replace --data by --token-file FILE with an operator's token";
         return Err(BadInput::new(reason).hint(hint).into());
     }
