@@ -1,8 +1,8 @@
 //! A quote's irradiance caches as text.
 
+use forelight_protocol::words::counted;
 use forelight_protocol::{CachePrice, CacheQuote, SharedCacheForecast};
 use forelight_terminal::quantities::{count, money, seconds};
-use forelight_terminal::words::counted;
 
 /// One cache for all frames or one for each, the reason, and both prices.
 pub fn ways(cache: &CacheQuote) -> String {

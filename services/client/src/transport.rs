@@ -215,13 +215,12 @@ impl Transport {
         let mut failures = 0;
         loop {
             let sent = self.token.as_ref().map(Token::secret);
-            let (error, asked) = match self.attempt(request, sent.as_deref()).await? {
-                Ok(response) if response.status().is_success() => {
-                    if self.never_gives_up() && self.silence.lock().end() {
-                        tracing::info!("{} answers again", self.base);
-                    }
-                    return Ok(response);
-                }
+            let attempt = self.attempt(request, sent.as_deref()).await?;
+            if attempt.is_ok() && self.silence.lock().end() {
+                tracing::info!("{} answers again", self.base);
+            }
+            let (error, asked) = match attempt {
+                Ok(response) if response.status().is_success() => return Ok(response),
                 Ok(response)
                     if response.status() == StatusCode::UNAUTHORIZED && self.has_another(sent.as_deref()) =>
                 {
@@ -229,7 +228,6 @@ impl Transport {
                 }
                 Ok(response) => {
                     let asked = retry_after(response.headers());
-                    self.silence.lock().end();
                     let error = refusal(request, response).await;
                     if !error.is_not_now() {
                         return Err(error);
@@ -302,13 +300,10 @@ impl Transport {
         ClientError::Unreachable { url: self.url(request), source }
     }
 
-    fn never_gives_up(&self) -> bool {
-        self.backoff.attempts.is_none()
-    }
-
     /// Says that there is no answer, if nobody else does: a client that gives up returns its error.
     fn tell(&self, error: &ClientError) {
-        if self.never_gives_up() && self.silence.lock().is_to_be_said(Instant::now()) {
+        let never_gives_up = self.backoff.attempts.is_none();
+        if never_gives_up && self.silence.lock().is_to_be_said(Instant::now()) {
             let mut reason: &dyn Error = error;
             while let Some(cause) = reason.source() {
                 reason = cause;

@@ -65,6 +65,7 @@ mod track_record;
 mod version;
 mod video;
 mod webhook;
+pub mod words;
 
 pub use accuracy::{
     AccuracyDoc, AccuracyRung, DenoisedRung, ImageError, LadderKind, Ladders, MeasuredRung, MissingLadder,

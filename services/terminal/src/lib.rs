@@ -16,4 +16,3 @@ pub mod output;
 pub mod quantities;
 pub mod table;
 pub mod watching;
-pub mod words;

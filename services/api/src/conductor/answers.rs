@@ -10,13 +10,14 @@ use forelight_planner as planner;
 use forelight_planner::Change;
 use forelight_plots as plots;
 use forelight_plots::PlotError;
+use forelight_protocol::words::{counted, is_or_are};
 use forelight_protocol::{
     AccuracyRung, AnswersDoc, BudgetAnswer, JobId, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
     Timestamp,
 };
 
 use super::AdvanceError;
-use super::effects::{counted, duration};
+use super::effects::duration;
 use super::farm::{Farm, Snapshot, own_confidence};
 use super::qualities::qualities;
 use super::risks::risk;
@@ -284,8 +285,7 @@ fn why_not(
                 .map(|other| other.job.name.as_str())
                 .collect();
             if !names.is_empty() {
-                let are = if holders.len() == 1 { "is" } else { "are" };
-                let jobs = counted(holders.len(), "job");
+                let (jobs, are) = (counted(holders.len(), "job"), is_or_are(holders.len()));
                 reasons.push(format!("{jobs} {are} booked before then: {}", names.join(", ")));
             }
         }

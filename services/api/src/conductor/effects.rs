@@ -2,6 +2,7 @@
 
 use forelight_planner as planner;
 use forelight_planner::{Change, Effect};
+use forelight_protocol::words::counted;
 use forelight_protocol::{Money, MovedJob, PlanChange, PlanEffect, Timestamp};
 
 use super::AdvanceError;
@@ -212,11 +213,6 @@ pub(crate) fn priced(micro_units: i64) -> String {
         1.. => format!("+{}", Money(micro_units)),
         _ => Money(micro_units).to_string(),
     }
-}
-
-/// `1 node`, `2 nodes`.
-pub(crate) fn counted(count: usize, noun: &str) -> String {
-    if count == 1 { format!("1 {noun}") } else { format!("{count} {noun}s") }
 }
 
 /// `the only node`, `all 2 nodes`.

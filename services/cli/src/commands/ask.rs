@@ -6,6 +6,7 @@ use crate::job_options::{deadline, svg_file};
 use crate::named::{JOBS, job_id};
 use anyhow::{Context, Result};
 use forelight_client::Client;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     AnswersDoc, CacheMode, Integrator, Job, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
     RenderSettings, Timestamp,
@@ -16,7 +17,6 @@ use forelight_terminal::quantities::{
     Deadline, clock, money, parse_deadline, parse_money, probability_in_words, with_local_times,
 };
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 use std::path::PathBuf;
 
 /// Ask about a job's plan: its deadline, the price of other deadlines, and ways to be in time

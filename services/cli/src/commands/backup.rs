@@ -2,11 +2,11 @@
 
 use crate::data_folder;
 use anyhow::{Context, Result};
+use forelight_protocol::words::counted;
 use forelight_store::StoreError;
 use forelight_terminal::atomic_file;
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::words::counted;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 

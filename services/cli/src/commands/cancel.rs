@@ -5,10 +5,10 @@ use crate::connection::connect;
 use crate::named::{JOBS, Kind, each, job_id, the_one};
 use anyhow::{Context, Result};
 use forelight_client::Client;
+use forelight_protocol::words::counted;
 use forelight_protocol::{Job, JobId};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
-use forelight_terminal::words::counted;
 use std::cell::RefCell;
 
 /// Cancel jobs: their workers stop, and their bookings become free

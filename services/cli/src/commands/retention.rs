@@ -6,11 +6,11 @@ use crate::named::each;
 use anyhow::{Context, Result};
 use clap::Subcommand;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
+use forelight_protocol::words::counted;
 use forelight_protocol::{Files, PruneRequest, Pruned, Retention, RetentionKind, RetentionRule};
 use forelight_terminal::output;
 use forelight_terminal::quantities::bytes;
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 
 /// List how long the farm keeps things, or set it
 #[derive(Debug, clap::Args)]

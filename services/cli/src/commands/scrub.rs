@@ -3,11 +3,11 @@
 use crate::data_folder;
 use anyhow::{Context, Result, bail};
 use forelight_protocol::Timestamp;
+use forelight_protocol::words::{counted, is_or_are};
 use forelight_store::{Scrubbed, Store};
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::words::{counted, is_or_are};
 use serde::Serialize;
 use std::path::PathBuf;
 

@@ -8,6 +8,7 @@ use etcetera::BaseStrategy as _;
 use forelight_client::Client;
 use forelight_kept::Folder;
 use forelight_preview::SharedPreviewer;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     Capabilities, JoinRequest, Money, NodeCalendar, NodeCalibration, NodeRegistration, ProblemKind, TaskId,
     TaskLimits,
@@ -25,7 +26,6 @@ use forelight_terminal::local::{cores, preview_choice};
 use forelight_terminal::options::{PreviewBackend, duration};
 use forelight_terminal::output;
 use forelight_terminal::quantities::{parse_bytes, parse_money};
-use forelight_terminal::words::counted;
 use forelight_video::{Encoder, VideoTasks};
 use forelight_worker::{Agent, Bundles, Errand, machine};
 use std::path::{Path, PathBuf};

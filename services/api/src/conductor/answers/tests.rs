@@ -103,7 +103,7 @@ fn parts_of_a_divided_frame_share_what_it_takes_longer_than_forecast() {
 
 #[test]
 fn durations_counts_and_changes_are_told_in_good_english() {
-    use super::super::effects::{all_nodes, counted};
+    use super::super::effects::all_nodes;
     assert_eq!(
         [counted(0, "node"), counted(1, "node"), counted(2, "node")],
         ["0 nodes", "1 node", "2 nodes"]

@@ -1,10 +1,10 @@
 //! The ladders as text.
 
 use super::{thousandths, value};
+use forelight_protocol::words::counted;
 use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 
 /// A table for each ladder, and a summary of the profiles.
 pub fn text(document: &AccuracyDoc) -> String {

@@ -6,12 +6,12 @@ use super::template::{GREATEST_INTEGER, LARGEST_CHUNK, LONGEST_JOB_NAME, LONGEST
 use super::{Args, Source};
 use crate::commands::cache::NO_USE_FOR_A_CACHE;
 use anyhow::Result;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::quantities::{money, seconds};
-use forelight_terminal::words::counted;
 use serde::Deserialize;
 use serde::Serialize;
 use serde_json::{Map, Value};

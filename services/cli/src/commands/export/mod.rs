@@ -8,6 +8,7 @@ use super::cache_error::{Asker, CacheErrorOption};
 use anyhow::Result;
 use checked::{FrameStats, exported};
 use clap::ValueEnum;
+use forelight_protocol::words::counted;
 use forelight_protocol::{ForecastDoc, FrameSet, JobSettings, RendererId, SceneDigest};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::foreign::{
@@ -19,7 +20,6 @@ use forelight_terminal::local::Local;
 use forelight_terminal::options::{Keep, MachineOptions, PreviewBackend, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
-use forelight_terminal::words::counted;
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::PathBuf;

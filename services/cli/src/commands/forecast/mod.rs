@@ -12,6 +12,7 @@ use crate::storage::stored;
 use anyhow::Result;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     CacheSharing, CalibratedQuantiles, CalibrationDoc, FixedCosts, ForecastDoc, FrameSet, LeftOut,
     NodeSeconds, ProcessCosts, Quantiles, RenderSettings, Spent,
@@ -28,7 +29,6 @@ use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::QuoteWatcher;
-use forelight_terminal::words::counted;
 use std::path::{Path, PathBuf};
 
 /// Forecast what frames cost before they are rendered

@@ -3,6 +3,7 @@
 use crate::commands::explain::{self, Explained, Unit};
 use anyhow::{Context, Result};
 use forelight_pictures::png;
+use forelight_protocol::words::counted;
 use forelight_protocol::{ForecastDoc, FrameSet, PreviewBackend, Quantiles};
 use forelight_renderer::door::{Common, RendererId, Settings};
 use forelight_renderer::{QuotingStep, ShotQuote, Wanted, locates_costs, quote_shot};
@@ -15,7 +16,6 @@ use forelight_terminal::options::{MachineOptions, QualityOptions};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::seconds;
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 use std::path::Path;
 
 /// What is asked for.

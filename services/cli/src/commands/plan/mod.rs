@@ -10,13 +10,13 @@ use forelight_planner::{
     curve, earliest_for_budget, explain, outlook, plan, simulate, verify, ways_out, what_if,
 };
 use forelight_plots as plots;
+use forelight_protocol::words::counted;
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::json_file;
 use forelight_terminal::output;
 use forelight_terminal::quantities::{money, parse_duration, parse_money, seconds};
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 use serde::Serialize;
 use std::path::PathBuf;
 

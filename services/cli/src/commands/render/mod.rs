@@ -14,6 +14,7 @@ use crate::job_options::png_file;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_denoise::Denoiser;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     CACHE_BYTES, CacheChoice, DenoisedStats, FrameSet, LeftOut, Rays, RenderSettings, RenderStats,
 };
@@ -33,7 +34,6 @@ use forelight_terminal::output::{self, Bars, RenderBar};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
 use forelight_terminal::watching::{Stopping, allotment_failure};
-use forelight_terminal::words::counted;
 use forelight_tracer::{Cache, Image, Profile};
 use std::path::{Path, PathBuf};
 use std::time::Instant;

@@ -8,6 +8,7 @@ use crate::connection::{ConnectionOptions, Credentials, ServerOptions, connect};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, FramePicture};
 use forelight_pictures::{png, tone_map};
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     ArtifactHash, CACHE_BYTES, Division, FrameSet, Job, JobId, JobRequest, JobState, TaskKind, TaskRow,
     Timestamp,
@@ -21,7 +22,6 @@ use forelight_terminal::json_file;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{seconds, with_local_times};
-use forelight_terminal::words::counted;
 use image::{ImageFormat, Rgb, RgbImage};
 use std::collections::BTreeSet;
 use std::path::PathBuf;

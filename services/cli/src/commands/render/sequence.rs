@@ -3,6 +3,7 @@
 use super::{Args, Files, Opened, format_of, once};
 use crate::commands::numbered::numbered;
 use anyhow::{Context, Result};
+use forelight_protocol::words::{counted, is_or_are};
 use forelight_protocol::{FrameSet, RenderStats};
 use forelight_renderer_own::render_frame;
 use forelight_terminal::atomic_file;
@@ -13,7 +14,6 @@ use forelight_terminal::json_file;
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{count, seconds};
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::{counted, is_or_are};
 use std::path::PathBuf;
 
 /// The files of one frame.

@@ -1,9 +1,9 @@
 //! Simulations as text.
 
 use super::runner::{Document, Simulated};
+use forelight_protocol::words::counted;
 use forelight_terminal::quantities::money;
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 
 pub(super) fn hours(hours: f64) -> String {
     format!("{hours:.2} h")

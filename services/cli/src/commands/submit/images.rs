@@ -3,13 +3,13 @@
 use crate::contact_sheet::{Cell, contact_sheet, thumbnail};
 use anyhow::{Context, Result, bail};
 use forelight_client::{Client, ClientError, FramePicture};
+use forelight_protocol::words::{counted, was_or_were};
 use forelight_protocol::{ArtifactHash, FrameArtifacts, FrameRow, FrameSet, FrameState, Job, ProblemKind};
 use forelight_renderer_own::png;
 use forelight_terminal::atomic_file::write_bytes;
 use forelight_terminal::failure::Interrupted;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::output::Bars;
-use forelight_terminal::words::{counted, was_or_were};
 use futures::{StreamExt, TryStreamExt};
 use image::RgbImage;
 use std::path::{Path, PathBuf};

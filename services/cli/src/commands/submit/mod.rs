@@ -19,6 +19,7 @@ use crate::job_options::deadline;
 use crate::named;
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FrameRate, FrameSet, Job, JobRequest,
     JobState, Ladders, MOST_PARTS, Money, OutputPattern, PartCount, Per, RenderSettingsRequest,
@@ -32,7 +33,6 @@ use forelight_terminal::local::settings_request;
 use forelight_terminal::options::{MachineOptions, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
-use forelight_terminal::words::counted;
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 

@@ -3,6 +3,7 @@
 use super::images::is_deleted;
 use crate::caches;
 use crate::storage::stored;
+use forelight_protocol::words::counted;
 use forelight_protocol::{
     AllottedStats, AnswersDoc, CacheQuote, ForecastDoc, FrameRow, FrameState, Job, JobState, LeftOut,
     Timestamp, Verdict,
@@ -10,7 +11,6 @@ use forelight_protocol::{
 use forelight_terminal::output;
 use forelight_terminal::quantities::{clock, count, money, percent, seconds, with_local_times};
 use forelight_terminal::table::{Align, Table};
-use forelight_terminal::words::counted;
 use serde::Serialize;
 use std::fmt::Display;
 
