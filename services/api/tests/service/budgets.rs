@@ -7,7 +7,7 @@ use crate::support::{Answer, Farm, eventually};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
-    Node, ProblemKind, Renewal, Timestamp,
+    Node, ProblemKind, Renewal, Timestamp, Waits,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -75,9 +75,10 @@ async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
     .await
 }
 
-/// The job, once it says why it waits.
-async fn soon_waits(farm: &Farm, job: &Job) -> Job {
-    farm.until(job, "it says why it waits", |job| job.waits.is_some()).await
+/// The job, once it waits for money. Until the plan is made anew, it states the reason of the plan before.
+async fn soon_waits_for_money(farm: &Farm, job: &Job) -> Job {
+    let waits_for_money = |job: &Job| job.waits.as_ref().is_some_and(Waits::is_for_money);
+    farm.until(job, "it waits for money", waits_for_money).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -216,9 +217,9 @@ async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_rea
     set(&farm, &budget("film", 100, json!([{"percent": 100, "action": "stop"}]))).await;
     in_force(&farm, &clock, Some(BudgetAction::Stop)).await;
     renew(&farm, &running).await;
-    let held = soon_waits(&farm, &film).await;
+    let held = soon_waits_for_money(&farm, &film).await;
     let waits = held.waits.unwrap();
-    assert!(waits.is_for_money() && waits.because.contains("budget of project film"), "{waits:?}");
+    assert!(waits.because.contains("budget of project film"), "{waits:?}");
     assert_eq!((held.eta, waits.until), (None, None));
     let path = format!("/v1/jobs/{}/answers", held.id);
     let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
@@ -245,7 +246,7 @@ async fn what_a_removed_budget_held_goes_on() {
     set(&farm, &budget("film", 1_000, stop)).await;
     farm.next_task(&node).await;
     soon_in_force(&farm, Some(BudgetAction::Stop)).await;
-    assert!(soon_waits(&farm, &film).await.waits.is_some_and(|waits| waits.is_for_money()));
+    soon_waits_for_money(&farm, &film).await;
     let path = "/v1/budgets?project=film&period=night";
     let by_viewer = farm.viewer.request(reqwest::Method::DELETE, path).send().await.unwrap();
     assert_eq!(by_viewer.status(), StatusCode::FORBIDDEN);
