@@ -97,7 +97,13 @@ def what_if(body):
 
 
 def retention(body):
-    return body if body.get("kind") in ("images", "profiles", "jobs") else without(body, "project")
+    by_project = body.get("project") and body.get("kind") in ("images", "profiles", "jobs")
+    return {**without(body, "project"), **({"project": "default"} if by_project else {})}
+
+
+def quota(body):
+    kept = one_of("project", "token", "default")(body)
+    return {**kept, "project": "default"} if "project" in kept else kept
 
 
 def token(body):
@@ -122,7 +128,7 @@ GOOD = {
     ("POST", "/v1/retention"): retention,
     ("POST", "/v1/tokens"): token,
     ("PATCH", "/v1/tokens/{id}"): lambda body: without(body, "projects"),
-    ("POST", "/v1/quotas"): one_of("project", "token", "default"),
+    ("POST", "/v1/quotas"): quota,
     # What was done is held against what is possible.
     ("PATCH", "/v1/leases/{id}"): lambda body: without(body, "pixels"),
     ("POST", "/v1/sessions"): one_of("code", "token", "a code that nobody has"),

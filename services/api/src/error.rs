@@ -120,6 +120,7 @@ impl From<StoreError> for ApiError {
                     _ => Self::new(kind, detail),
                 }
             }
+            ProblemKind::Invalid => Self::new(kind, error.to_string()).at("/project"),
             ProblemKind::Unauthenticated => Self::new(kind, error.to_string()).authenticate(BAD_TOKEN),
             ProblemKind::IdempotencyKeyReused => {
                 Self::new(kind, error.to_string()).in_parameter("Idempotency-Key")

@@ -299,7 +299,8 @@ pub struct Dashboard {
     pub nodes: Vec<DashboardNode>,
     /// The next open bookings by start, at most 100. `/v1/timeline` has all.
     pub bookings: Vec<Booking>,
-    /// The newest events but progress, newest first, at most 20.
+    /// The newest events, newest first, at most 20, without those that every task writes: leases, progress,
+    /// results, delays.
     pub events: Vec<Event>,
     /// Number of finished frames that had a forecast.
     pub track_frames: u64,

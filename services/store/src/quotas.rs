@@ -106,11 +106,14 @@ macro_rules! announced_bytes {
 }
 
 impl Store {
-    /// Sets a quota, or removes it if it limits nothing.
+    /// Sets a quota, or removes it if it limits nothing. The project must exist.
     pub async fn set_quota(&self, of: QuotaOf<'_>, quota: &QuotaRequest, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         run!(write, "DELETE FROM quotas WHERE kind = ? AND name = ?", of.kind(), of.name());
         if quota.storage_bytes.is_some() || quota.open_jobs.is_some() {
+            if let QuotaOf::Project(project) = of {
+                projects::check_exists(write.connection().await?, project).await?;
+            }
             run!(
                 write,
                 "INSERT INTO quotas (kind, name, storage_bytes, open_jobs, updated_at) VALUES (?, ?, ?, ?, ?)",

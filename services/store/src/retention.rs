@@ -21,6 +21,7 @@ use crate::columns::Json;
 use crate::database::Store;
 use crate::error::Result;
 use crate::policy::retention::Rules;
+use crate::projects;
 use crate::writing::run;
 
 impl Store {
@@ -30,9 +31,12 @@ impl Store {
         Ok(Retention { items: self.rules().await?.in_force(), last: last.map(|it| it.0) })
     }
 
-    /// Sets a rule. It replaces the one about the same.
+    /// Sets a rule. It replaces the one about the same. Its project must exist.
     pub async fn set_retention(&self, rule: &RetentionRule, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
+        if let Some(project) = &rule.project {
+            projects::check_exists(write.connection().await?, project).await?;
+        }
         run!(
             write,
             "INSERT INTO retention (project, kind, days) VALUES (?, ?, ?) \

@@ -395,10 +395,13 @@ async function questionsOfRetention(tab, farm) {
   await tab.getByLabel("Days").fill("0");
   await answer(tab, "Set it");
   await asked(tab, "A rule for a project…", "retention-of-project-question");
-  await tab.getByRole("textbox", { name: "Project" }).fill("film");
+  await tab.getByRole("textbox", { name: "Project" }).fill("deafult");
   await tab.getByLabel("Days").fill("90");
+  await tab.getByRole("button", { name: "Set it" }).click();
+  await tab.getByText('there is no project "deafult"').waitFor();
+  await tab.getByRole("textbox", { name: "Project" }).fill("default");
   await answer(tab, "Set it");
-  assert.deepEqual([await rule("plans"), await rule("images", "film")], [0, 90]);
+  assert.deepEqual([await rule("plans"), await rule("images", "default")], [0, 90]);
   await tab.getByRole("button", { name: "What would be deleted now?" }).click();
   await asked(tab, "Delete it now…", "delete-question");
   await answer(tab, "Delete it");

@@ -9,13 +9,13 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
 use forelight_protocol::{Job, JobCheck, JobId, JobPage, JobRequest, JobState};
 use forelight_store::tokens::Principal;
-use forelight_store::{JobFilter, JobOrder, StoreError};
+use forelight_store::{JobFilter, JobOrder};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::checks::check_search;
 use super::responses::{created, repeated, tagged};
-use crate::error::{ApiError, ApiResult, Problems};
+use crate::error::{ApiResult, Problems};
 use crate::extract::{
     JsonBody, KeyHeader, OwnJob, QueryParameters, Reader, SeenJob, Submitter, check_may_change, number_if_any,
 };
@@ -43,17 +43,7 @@ pub(crate) async fn submit(
     }
     check_may_change(&principal, &request.project)?;
     let new = request_checks::checked(&app, &principal, request).await?;
-    Ok(created(
-        StatusCode::CREATED,
-        app.by(&principal).create_job(&new, key.as_ref(), app.now()).await.map_err(at_project)?,
-    ))
-}
-
-/// The error of a project that does not exist names the field.
-fn at_project(error: StoreError) -> ApiError {
-    let is_about_the_project = matches!(error, StoreError::NoProject(_));
-    let error = ApiError::from(error);
-    if is_about_the_project { error.at("/project") } else { error }
+    Ok(created(StatusCode::CREATED, app.by(&principal).create_job(&new, key.as_ref(), app.now()).await?))
 }
 
 /// Checks a job as submitting it would. Nothing is stored.
@@ -67,7 +57,7 @@ pub(crate) async fn check(
 ) -> ApiResult<Json<JobCheck>> {
     check_may_change(&caller, &request.project)?;
     let new = request_checks::checked(&app, &caller, request).await?;
-    app.store.check_new_job(&new, &caller.name, caller.role).await.map_err(at_project)?;
+    app.store.check_new_job(&new, &caller.name, caller.role).await?;
     let frames_total = u32::try_from(new.request.frames.count()).unwrap_or(u32::MAX);
     Ok(Json(JobCheck { scene: new.scene, frames: new.request.frames, frames_total, settings: new.settings }))
 }

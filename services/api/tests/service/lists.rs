@@ -135,9 +135,11 @@ async fn the_dashboard_has_risks_ends_and_money_and_is_not_sent_twice() {
     let spending = &shown.spending[0];
     assert_eq!((spending.project.as_str(), spending.budgets.len()), ("default", 1));
     assert_eq!((shown.nodes[0].name.as_str(), shown.node_counts.idle), ("<script>alert(1)</script>", 1));
-    assert!(
-        shown.events.iter().all(|event| event.kind != EventKind::TaskProgress) && shown.events.len() <= 20
-    );
+    let told: Vec<EventKind> = shown.events.iter().map(|event| event.kind).collect();
+    let of_every_task = [EventKind::TaskLeased, EventKind::TaskProgress, EventKind::TaskDone];
+    assert!(told.len() <= 20 && !told.iter().any(|kind| of_every_task.contains(kind)), "{told:?}");
+    assert!(told.contains(&EventKind::ForecastReady), "{told:?}");
+    assert!(shown.events.is_sorted_by_key(|event| std::cmp::Reverse(event.id)));
     // The last plan may still be on its way; after it, nothing changes.
     let tag = eventually("the dashboard comes to rest", async || {
         let first = farm.viewer.get("/v1/dashboard").await;

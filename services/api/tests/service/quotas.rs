@@ -103,6 +103,7 @@ async fn quotas_are_set_by_operators_and_seen_by_those_whom_they_concern() {
         (json!({"open_jobs": 1}), ""),
         (json!({"project": "a", "token": "b"}), ""),
         (json!({"project": ""}), "/project"),
+        (json!({"project": "flim", "open_jobs": 1}), "/project"),
         (json!({"project": "a", "open_jobs": 1_000_001}), "/open_jobs"),
         (json!({"token": "a", "storage_bytes": u64::MAX}), "/storage_bytes"),
     ] {

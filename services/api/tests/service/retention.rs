@@ -38,6 +38,7 @@ async fn a_submitter_deletes_a_job_that_was_cancelled() {
 #[tokio::test]
 async fn rules_are_set_by_an_operator_and_checked() {
     let farm = Farm::new().await;
+    farm.project("film").await;
     let rules: Retention = farm.viewer.json("/v1/retention").await;
     assert_eq!(rules.items.len(), RetentionKind::ALL.len());
     let rule = json!({"project": "film", "kind": "images"});
@@ -49,6 +50,7 @@ async fn rules_are_set_by_an_operator_and_checked() {
         (json!({"kind": "images", "days": 40_000}), "/days"),
         (json!({"kind": "logs", "days": 1, "project": "film"}), "/project"),
         (json!({"kind": "images", "days": 1, "project": ""}), "/project"),
+        (json!({"kind": "images", "days": 1, "project": "flim"}), "/project"),
     ] {
         let problem = farm.operator.post("/v1/retention", &wrong).await.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer.as_deref(), Some(pointer), "{wrong}");

@@ -2330,7 +2330,8 @@ export interface components {
             bookings: components["schemas"]["Booking"][];
             /** @description Counts of the farm. */
             counts: components["schemas"]["DashboardCounts"];
-            /** @description The newest events but progress, newest first, at most 20. */
+            /** @description The newest events, newest first, at most 20, without those that every task writes: leases, progress,
+             *     results, delays. */
             events: components["schemas"]["Event"][];
             finish?: components["schemas"]["FinishQuantiles"] | null;
             /** @description Open jobs: those at risk first, then by deadline. At most 200; `/v1/jobs?open=true` has all. */

@@ -5,7 +5,7 @@ import { computed, effect, signal } from "@preact/signals";
 import { get } from "../api/client";
 import type { Event, Farm, FarmSummary } from "../api/types";
 import { askFailed, failedAhead, forgetFailed, tellsOfFailed } from "./failed";
-import { askEarlier, forgetHappened, happen } from "./happened";
+import { forgetHappened, happen } from "./happened";
 import { follow, onEvents, summary, unfollow } from "./live";
 import { farmAfter, farmSummed, isNews } from "./news";
 import { now } from "./now";
@@ -13,7 +13,7 @@ import { now } from "./now";
 export const farm = signal<Farm | null>(null);
 export const farmError = signal<Error | null>(null);
 
-/** The newest events, newest first. */
+/** The newest events of the stream, newest first. */
 const recent = signal<Event[]>([]);
 
 /** Number of open promises at risk. The document has them all only on a farm that is not large. */
@@ -108,17 +108,12 @@ export async function refresh(): Promise<void> {
     if (!stop) return;
     // Events that came meanwhile are newer than the document.
     const meanwhile = recent.peek().filter((event) => event.id > next.last_event_id);
-    const old = farm.peek();
     farm.value = farmAfter(next, meanwhile.reverse());
     counted = next.last_event_id;
     farmError.value = null;
     if (failedKnown === null) refreshFailed();
     now.value = Date.now();
-    const newest = recent.peek()[0]?.id ?? 0;
-    const missing = next.events.filter((event) => event.id > newest);
-    if (missing.length) recent.value = [...missing, ...recent.peek()].slice(0, KEPT_EVENTS);
     happen(next.events);
-    if (old === null) askEarlier(next.last_event_id);
     follow(next.last_event_id);
   } catch (error) {
     farmError.value = error instanceof Error ? error : new Error(String(error));
@@ -143,9 +138,7 @@ function schedule(after: number): void {
 }
 
 function take(events: readonly Event[]): void {
-  // The document may have told of some of them already.
-  const newest = recent.peek()[0]?.id ?? 0;
-  const told = events.filter((event) => isNews(event) && event.id > newest).reverse();
+  const told = events.filter(isNews).reverse();
   const old = farm.peek();
   if (told.length) recent.value = [...told, ...recent.peek()].slice(0, KEPT_EVENTS);
   happen(events);

@@ -48,7 +48,7 @@ const KINDS: Record<EventKind, true> = {
   artifact_damaged: true,
 };
 
-export const EVENT_KINDS: readonly string[] = Object.keys(KINDS);
+const EVENT_KINDS: readonly string[] = Object.keys(KINDS);
 
 type Listener = (events: readonly Event[]) => void;
 

@@ -16,10 +16,12 @@ const MARKS: Record<(typeof happened.value)[number]["kind"], [glyph: string, ton
   job_on_forecast: ["✓", "good"],
   plan_stored: ["▤", "plan"],
   task_failed: ["✕", "bad"],
+  result_refused: ["✕", "bad"],
   lease_expired: ["⚠", "warn"],
   node_registered: ["+", "quiet"],
   node_changed: ["→", "quiet"],
   node_set_aside: ["✕", "bad"],
+  node_removed: ["−", "quiet"],
   budget: ["⚠", "warn"],
   engine_state: ["→", "quiet"],
   job_promise_at_risk: ["⚠", "bad"],
@@ -77,6 +79,8 @@ export function eventWords(event: Event): string {
       return message ? `${message} joined` : "a node joined";
     case "node_changed":
       return event.node_state ? `${message} is ${words(event.node_state)}` : `${message} changed`;
+    case "node_removed":
+      return `${message} was removed`;
     case "plan_stored":
       return message ? `planned anew: ${message}` : "was planned";
     default:
