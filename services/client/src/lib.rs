@@ -6,6 +6,7 @@
 //! | `client` | a client: address, token, back-off |
 //! | `calls` | the typed calls, a file for each subject |
 //! | `transport` | sends a request until it is answered |
+//! | `upload` | sends long bodies, and gives up those whose connection falls silent |
 //! | `token` | the bearer token, and its file |
 //! | `backoff` | how long to wait before the next attempt |
 //! | `server_events` | parses a stream of server-sent events |
@@ -18,6 +19,7 @@ mod error;
 mod server_events;
 mod token;
 mod transport;
+mod upload;
 
 pub use backoff::Backoff;
 pub use calls::{Claimed, EventStream, FramePicture};

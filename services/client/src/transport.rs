@@ -10,11 +10,11 @@
 use crate::backoff::Backoff;
 use crate::error::ClientError;
 use crate::token::Token;
+use crate::upload::{self, BoxError, answer, silent};
 use bytes::Bytes;
 use forelight_protocol::{Problem, WORKER_PROTOCOL, WORKER_PROTOCOL_HEADER};
-use futures::{Stream, StreamExt as _, stream};
 use parking_lot::Mutex;
-use reqwest::header::{CONTENT_LENGTH, CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
+use reqwest::header::{CONTENT_TYPE, HeaderMap, HeaderName, HeaderValue, RETRY_AFTER};
 use reqwest::{Certificate, Method, Response, StatusCode};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -22,8 +22,6 @@ use std::error::Error;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::watch;
-use tokio_util::io::ReaderStream;
 use uuid::Uuid;
 
 /// The body of a request.
@@ -109,8 +107,6 @@ impl Request {
 const SHORT_REQUEST: Duration = Duration::from_secs(30);
 /// A transfer that is silent for this long has lost its connection.
 const SILENCE: Duration = Duration::from_secs(75);
-/// After an upload, the service still receives and checks the body: of a large scene, this takes minutes.
-const ANSWER_TO_UPLOAD: Duration = Duration::from_secs(900);
 
 /// An idle connection is closed after this, before the service closes it: a request could meet its end.
 const KEPT_IDLE: Duration = Duration::from_secs(45);
@@ -119,8 +115,7 @@ const KEPT_IDLE: Duration = Duration::from_secs(45);
 #[derive(Debug, Clone)]
 pub(crate) struct Transport {
     http: reqwest::Client,
-    /// For requests with long bodies, whose silence [`upload`] measures: a client's own limit would count the
-    /// whole upload as silence of the service.
+    /// For requests with long bodies, whose silence [`upload`] measures.
     uploads: reqwest::Client,
     /// The address, without a trailing slash.
     base: String,
@@ -342,67 +337,16 @@ impl Transport {
                 answer(builder.header(CONTENT_TYPE, "application/json").body(body.clone()).send()).await
             }
             Payload::Bytes(body) => {
-                let pieces = pieces(body.clone());
                 let builder = builder.header(CONTENT_TYPE, "application/octet-stream");
-                upload(builder.header(CONTENT_LENGTH, body.len()), stream::iter(pieces), SILENCE).await
+                upload::bytes(builder, body.clone(), SILENCE).await
             }
             Payload::File(path, media_type) => {
                 let failed = |source| ClientError::File { path: path.clone(), source };
                 let file = tokio::fs::File::open(path).await.map_err(failed)?;
                 let length = file.metadata().await.map_err(failed)?.len();
-                let builder = builder.header(CONTENT_TYPE, *media_type).header(CONTENT_LENGTH, length);
-                upload(builder, ReaderStream::with_capacity(file, PIECE), SILENCE).await
+                upload::file(builder.header(CONTENT_TYPE, *media_type), (file, length), SILENCE).await
             }
         })
-    }
-}
-
-type BoxError = Box<dyn std::error::Error + Send + Sync>;
-
-async fn answer(sent: impl Future<Output = Result<Response, reqwest::Error>>) -> Result<Response, BoxError> {
-    sent.await.map_err(|error| error.without_url().into())
-}
-
-/// Bytes of an upload that are handed to the connection at a time.
-const PIECE: usize = 1 << 16;
-
-fn pieces(mut body: Bytes) -> impl Iterator<Item = std::io::Result<Bytes>> {
-    std::iter::from_fn(move || {
-        let length = body.len().min(PIECE);
-        (length > 0).then(|| Ok(body.split_to(length)))
-    })
-}
-
-/// Sends a long body. It may take as long as it will, but no piece of it longer than `silence`.
-async fn upload(
-    request: reqwest::RequestBuilder,
-    body: impl Stream<Item = std::io::Result<Bytes>> + Send + 'static,
-    silence: Duration,
-) -> Result<Response, BoxError> {
-    // The sender goes with the body: once all of it is handed over.
-    let (progress, mut watched) = watch::channel(());
-    let body = body.inspect(move |_| progress.send_replace(()));
-    let sent = answer(request.body(reqwest::Body::wrap_stream(body)).send());
-    tokio::pin!(sent);
-    let mut limit = silence;
-    loop {
-        tokio::select! {
-            answer = &mut sent => return answer,
-            changed = watched.changed(), if limit == silence => {
-                if changed.is_err() {
-                    limit = ANSWER_TO_UPLOAD;
-                }
-            }
-            () = awake(limit) => return Err(silent(limit)),
-        }
-    }
-}
-
-/// Waits. A time in which the whole machine sleeps counts as at most a tenth: the other side may not have been
-/// silent in it.
-async fn awake(duration: Duration) {
-    for _ in 0..10 {
-        tokio::time::sleep(duration / 10).await;
     }
 }
 
@@ -422,10 +366,6 @@ async fn read(request: &Request, response: Response) -> Result<Bytes, BoxError> 
         body.await
     };
     body.map_err(|error| error.without_url().into())
-}
-
-fn silent(limit: Duration) -> BoxError {
-    format!("the connection was silent for {} s", limit.as_secs()).into()
 }
 
 /// The error in the service's answer.
@@ -450,51 +390,6 @@ pub(crate) fn retry_after(headers: &HeaderMap) -> Option<Duration> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-    use tokio::net::TcpListener;
-
-    /// More than the system keeps for a connection.
-    const BODY: usize = 32 << 20;
-    const SILENCE: Duration = Duration::from_secs(3);
-
-    /// Uploads to a server that reads a fifteenth of the body in each half second, `times` times. Then it waits,
-    /// and answers only if it has read everything.
-    async fn uploaded(times: usize) -> Result<Response, BoxError> {
-        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = format!("http://{}", listener.local_addr().unwrap());
-        let server = tokio::spawn(async move {
-            let (mut connection, _) = listener.accept().await.unwrap();
-            let (mut buffer, mut read) = (vec![0; BODY.div_ceil(15)], 0);
-            for _ in 0..times {
-                tokio::time::sleep(Duration::from_millis(500)).await;
-                let mut filled = 0;
-                while filled < buffer.len() && read < BODY {
-                    let more = connection.read(&mut buffer[filled..]).await.unwrap();
-                    (filled, read) = (filled + more, read + more);
-                }
-            }
-            if read >= BODY {
-                connection.write_all(b"HTTP/1.1 204 No Content\r\n\r\n").await.unwrap();
-            }
-            connection
-        });
-        let http = reqwest::Client::builder().no_proxy().tls_certs_only([]).build().unwrap();
-        let body = stream::iter(pieces(vec![7; BODY].into()));
-        let sent = upload(http.put(address).header(CONTENT_LENGTH, BODY), body, SILENCE).await;
-        server.abort();
-        sent
-    }
-
-    #[tokio::test]
-    async fn an_upload_may_take_longer_than_its_connection_may_be_silent() {
-        assert_eq!(uploaded(16).await.unwrap().status(), StatusCode::NO_CONTENT);
-    }
-
-    #[tokio::test]
-    async fn an_upload_that_nobody_reads_is_given_up() {
-        let error = uploaded(2).await.unwrap_err().to_string();
-        assert_eq!(error, "the connection was silent for 3 s");
-    }
 
     #[test]
     fn that_there_is_no_answer_is_said_at_once_and_once_a_minute() {
