@@ -8,6 +8,8 @@
 //! * A permanent error fails the job once [`AGREEING_NODES`] nodes say so. If there is no other node to ask,
 //!   attempt number [`PERMANENT_ATTEMPTS`] does.
 //! * The word of a node that is at fault for other tasks does not count in either.
+//! * A task that exceeds its job's own limit of time or memory fails it at attempt number [`PERMANENT_ATTEMPTS`],
+//!   if there is no other node to try: each attempt takes as long as the limit allows.
 //! * Input that is gone fails the job at once.
 //! * A task whose worker is lost [`MAX_EXPIRIES`] times fails its job.
 
@@ -22,7 +24,8 @@ pub const MAX_FAILURES: u32 = 6;
 /// Nodes that call an error permanent before it is believed.
 pub const AGREEING_NODES: usize = 2;
 
-/// Attempts of a task that no other node can try, before a permanent error is believed.
+/// Attempts of a task that no other node can try, before it is believed that its error is permanent, or its limit
+/// too low.
 pub const PERMANENT_ATTEMPTS: u32 = 3;
 
 /// Lost workers of a task before it fails its job. More than failures: machines are switched off at night.
@@ -78,7 +81,8 @@ pub(crate) fn job_error(error: &TaskError, tried: &Tried<'_>) -> Option<String> 
     }
     let believed = || witnesses.iter().filter(|witness| !witness.doubted);
     let is_agreed = believed().filter(|witness| witness.permanent).count() >= AGREEING_NODES;
-    if error.permanent && (is_agreed || others == 0 && failures >= PERMANENT_ATTEMPTS) {
+    let will_repeat = error.permanent || error.limit.is_some();
+    if error.permanent && is_agreed || will_repeat && others == 0 && failures >= PERMANENT_ATTEMPTS {
         return Some(error.message.clone());
     }
     let is_shared = believed().count() >= FAILED_NODES as usize;
@@ -101,6 +105,7 @@ pub(crate) fn job_error_of_lost_workers(expiries: u32) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use forelight_protocol::TaskLimit;
 
     #[test]
     fn waits_double_up_to_a_minute_and_can_be_repeated() {
@@ -147,6 +152,22 @@ mod tests {
         assert_eq!(found(&two, 2, 3).as_deref(), Some("no such mesh"));
         two[0].doubted = true;
         assert_eq!(found(&two, 2, 3), None);
+    }
+
+    #[test]
+    fn a_limit_that_is_exceeded_fails_the_job_at_the_third_time_where_there_is_no_other_node() {
+        let error = TaskError {
+            message: "beyond its limit".to_owned(),
+            limit: Some(TaskLimit::WallTime),
+            ..TaskError::default()
+        };
+        let found = |names: &[&str], failures, others| {
+            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), others };
+            job_error(&error, &tried)
+        };
+        // Another node may be faster, or have more memory.
+        assert_eq!((found(&["a"], 2, 0), found(&["a", "b"], 9, 1)), (None, None));
+        assert_eq!(found(&["a", "b"], 3, 0).as_deref(), Some("beyond its limit"));
     }
 
     #[test]
