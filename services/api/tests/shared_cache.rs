@@ -226,13 +226,15 @@ async fn a_cache_that_two_workers_make_while_one_dies_at_it_gives_the_images_of_
     let cache = done.shared_cache.unwrap();
     assert_eq!((cache.parts_done, cache.ready, cache.progress), (4, true, 1.0));
     assert_eq!(doomed.executor.fills.load(Ordering::SeqCst), 1);
-    assert_eq!(other.executor.fills.load(Ordering::SeqCst), 4, "what the dead one had was done by the other");
     let events = farm.service.store().events_after(Some(job.id), 0, 10_000).await.unwrap();
     let seen = |kind: EventKind, of: TaskKind| {
         let is_it = |event: &&Event| event.kind == kind && event.task_kind == Some(of);
         events.iter().filter(is_it).count()
     };
-    assert_eq!(seen(EventKind::LeaseExpired, TaskKind::CacheFill), 1);
+    // On a machine that pauses, the other loses leases, too.
+    let expired = seen(EventKind::LeaseExpired, TaskKind::CacheFill);
+    let fills = other.executor.fills.load(Ordering::SeqCst) as usize;
+    assert!(expired >= 1 && fills == 3 + expired, "what the dead one had was done by the other: {fills}");
     assert_eq!(seen(EventKind::TaskDone, TaskKind::CacheMerge), 2);
 
     // The quote has both prices, and they came true.

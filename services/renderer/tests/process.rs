@@ -203,7 +203,8 @@ fn a_program_that_prints_all_the_time_is_stopped_too() {
 fn a_cancelled_program_ends_with_its_children_even_if_they_ignore_the_request() {
     let outside = Outside::new();
     let script = "trap '' TERM; echo $$ >>pids; (sleep 60 & echo $! >>pids; wait) & \
-                  setsid sh -c 'echo $$ >>pids; sleep 61' & sleep 0.3; echo ready; while :; do sleep 1; done";
+                  setsid sh -c 'echo $$ >>pids; sleep 61' & \
+                  until [ $(wc -l <pids) -ge 3 ]; do sleep 0.02; done; echo ready; while :; do sleep 1; done";
     let begun = Instant::now();
     let error = std::thread::scope(|scope| {
         let running = scope.spawn(|| outside.shell(script, quick(200)).unwrap_err());
@@ -214,7 +215,7 @@ fn a_cancelled_program_ends_with_its_children_even_if_they_ignore_the_request() 
         running.join().unwrap()
     });
     assert!(matches!(error, RendererError::Cancelled), "{error}");
-    assert!(begun.elapsed() < Duration::from_secs(20));
+    assert!(begun.elapsed() < Duration::from_secs(50));
     let pids = outside.pids("pids");
     assert_eq!(pids.len(), 3);
     for pid in pids {
@@ -226,7 +227,7 @@ fn a_cancelled_program_ends_with_its_children_even_if_they_ignore_the_request() 
 #[test]
 fn a_program_that_heeds_the_request_to_end_has_time_to_clean_up() {
     let outside = Outside::new();
-    let limits = Limits { time: Some(Duration::from_millis(400)), ..quick(10_000) };
+    let limits = Limits { time: Some(Duration::from_secs(2)), ..quick(10_000) };
     let script = "trap 'echo clean >end; exit 0' TERM; touch begun; while :; do sleep 0.05; done";
     let error = outside.shell(script, limits).unwrap_err();
     assert!(matches!(error, RendererError::TimeLimit(_)), "{error}");

@@ -111,7 +111,7 @@ fn exit_codes_signals_and_limits_are_those_of_the_program() {
     };
     assert_eq!(ending("exit 7"), Ending::Code(7));
     assert_eq!(ending("sh -c 'kill -SEGV $$'"), Ending::Signal(11));
-    let limits = Limits { time: Some(Duration::from_millis(400)), ..Limits::default() };
+    let limits = Limits { time: Some(Duration::from_secs(2)), ..Limits::default() };
     let asked = "trap 'echo asked >asked; exit 0' TERM; while :; do sleep 0.05; done";
     assert!(matches!(outside.shell(asked, limits), Err(RendererError::TimeLimit(_))));
     assert!(outside.home.path().join("asked").is_file(), "it was asked before it was ended");
@@ -124,7 +124,7 @@ fn exit_codes_signals_and_limits_are_those_of_the_program() {
     };
     let began = Instant::now();
     assert!(matches!(outside.shell("trap '' TERM; sleep 60", limits), Err(RendererError::TimeLimit(_))));
-    assert!(began.elapsed() < Duration::from_secs(20));
+    assert!(began.elapsed() < Duration::from_secs(50));
 }
 
 #[test]

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::support::{Answer, Farm, LEASE};
 use forelight_protocol::{
-    Booking, BookingPage, Dashboard, EventKind, FramePage, FrameState, Job, JobState, Plan, ProblemKind,
-    TaskKind, TrackRecord, Verdict,
+    Booking, BookingPage, Dashboard, EventKind, FramePage, FrameState, Job, JobState, Node, Plan,
+    ProblemKind, TaskKind, TrackRecord, Verdict,
 };
 use reqwest::StatusCode;
 use serde_json::json;
@@ -267,8 +267,9 @@ async fn stopping_the_service_ends_waits_and_streams_at_once() {
     let stream = farm.viewer.get(&format!("/v1/jobs/{}/events", job.id)).await;
     let (worker, body) = (farm.worker.clone(), json!({"node_id": node.id, "wait_ms": 60_000}));
     farm.next_task(&node).await;
+    let node: Node = farm.viewer.json(&format!("/v1/nodes/{}", node.id)).await;
     let waiting = tokio::spawn(async move { worker.post("/v1/leases", &body).await.status() });
-    tokio::time::sleep(Duration::from_millis(200)).await;
+    farm.until_heard_of_since(&node).await;
     let begun = std::time::Instant::now();
     farm.service.shutdown().await;
     assert_eq!(waiting.await.unwrap(), StatusCode::NO_CONTENT);

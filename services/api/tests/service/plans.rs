@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use crate::support::{Answer, Farm, eventually, until};
-use forelight_api::Clock as _;
+use crate::support::{Answer, Farm, LEASE, eventually, until};
+use forelight_api::{Clock as _, Config};
 use forelight_protocol::{
     AnswersDoc, Dashboard, Event, EventKind, Job, JobState, Lease, Node, Plan, PlanChange, PlanDifference,
     PlanEffect, PlanPage, PlanReason, PowerState, ProblemKind, ProjectList, Renewal, TaskKind, Timestamp,
@@ -99,6 +99,14 @@ async fn a_node_that_falls_silent_is_planned_for_once_and_so_is_its_return() {
     let only = farm.node("only").await;
     let job = farm.submit("0-3").await;
     let job = farm.until_booked(&only, &job).await;
+    // A service that starts knows the node from its first look on. This one may have looked before it was there.
+    let own = clock.clone();
+    let farm = farm
+        .restarted_with(|config| {
+            config.clock = own;
+            config.lease_ttl = Duration::from_micros(LEASE as u64);
+        })
+        .await;
     let wanted = async || farm.service.store().wanted_plan().await.unwrap();
     let planned = async |what: &str| {
         eventually(what, async || Some(wanted().await).filter(|wanted| !wanted.due)).await.count
@@ -176,7 +184,8 @@ async fn a_plan_that_was_due_when_the_service_died_is_made_after_its_start() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn frames_that_take_much_longer_than_forecast_stretch_what_is_left_of_the_plan() {
-    let (farm, clock) = Farm::with_clock().await;
+    let lasting = |config: &mut Config| config.lease_ttl = Duration::from_secs(3600);
+    let (farm, clock) = Farm::with_clock_at(Timestamp::now(), lasting).await;
     let node = farm.node("a").await;
     let deadline = clock.now().plus_micros(3600 * SECOND);
     let job = farm.asked(|request| request["deadline"] = json!(deadline), "0-7").await;

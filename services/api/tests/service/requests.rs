@@ -341,10 +341,10 @@ async fn a_request_that_is_being_worked_on_is_not_begun_again() {
     let node = farm.node("a").await;
     let claim = || {
         let request = farm.worker.request(Method::POST, "/v1/leases").header("Idempotency-Key", "c");
-        request.json(&json!({"node_id": node.id, "wait_ms": 3000})).send()
+        request.json(&json!({"node_id": node.id, "wait_ms": 50_000})).send()
     };
     let (waiting, second) = tokio::join!(claim(), async {
-        tokio::time::sleep(Duration::from_millis(300)).await;
+        farm.until_heard_of_since(&node).await;
         let second = claim().await.unwrap();
         farm.submit("0").await;
         second
@@ -368,7 +368,7 @@ async fn a_process_that_was_started_twice_for_a_task_waits_for_the_first_and_is_
     };
     let task = first.task_id.to_string();
     assert_eq!(by_id(&task, 0).await.status(), StatusCode::NO_CONTENT);
-    let (second, _) = tokio::join!(by_id(&task, 10_000), async {
+    let (second, _) = tokio::join!(by_id(&task, 50_000), async {
         tokio::time::sleep(Duration::from_millis(200)).await;
         let release = format!("/v1/leases/{}/release", first.lease_id);
         farm.worker.post(&release, &json!({"fence": first.fence})).await

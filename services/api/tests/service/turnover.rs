@@ -39,7 +39,14 @@ impl Worker {
     /// succeeds, or if a living token's is refused.
     async fn ask(&self, path: &str, body: &Value) -> Option<reqwest::Response> {
         let (http, was_dead) = (self.http.lock().clone(), self.is_dead.load(Ordering::SeqCst));
-        let answer = http.post(path, body).await;
+        let answer = loop {
+            let answer = http.post(path, body).await;
+            // Two hundred workers may wait too long for the one writer.
+            if answer.status() != StatusCode::SERVICE_UNAVAILABLE {
+                break answer;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        };
         if answer.status() == StatusCode::UNAUTHORIZED {
             assert!(self.may_die.load(Ordering::SeqCst), "{}: a living token was refused", self.node.name);
             self.refusals.fetch_add(1, Ordering::SeqCst);

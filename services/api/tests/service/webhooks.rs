@@ -254,7 +254,10 @@ async fn a_budget_that_is_spent_and_a_promise_at_risk_are_told_of() {
     let budget = json!({"project": "default", "period": "total", "amount": 0});
     farm.operator.post("/v1/budgets", &budget).await;
     let told = async |kind: WebhookKind| receiver.messages().iter().any(|message| message.kind == kind);
-    until("the promise is at risk", async || told(WebhookKind::PromiseAtRisk).await).await;
+    until("both are told", async || {
+        told(WebhookKind::PromiseAtRisk).await && told(WebhookKind::Budget).await
+    })
+    .await;
     let messages: BTreeMap<WebhookKind, String> =
         receiver.messages().into_iter().map(|message| (message.kind, message.data.text)).collect();
     let budget = &messages[&WebhookKind::Budget];

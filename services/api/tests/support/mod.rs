@@ -226,7 +226,16 @@ impl Farm {
 
     /// Claims a task, waiting for the conductor to make it.
     pub async fn next_task(&self, node: &Node) -> Lease {
-        self.claim_waiting(node, 10_000).await.expect("a task within ten seconds")
+        eventually("a task", async || self.claim_waiting(node, 10_000).await).await
+    }
+
+    /// Waits until the node was heard of later than this: a claim is there that waits.
+    pub async fn until_heard_of_since(&self, node: &Node) {
+        let path = format!("/v1/nodes/{}", node.id);
+        until("the node is heard of", async || {
+            self.viewer.json::<Node>(&path).await.last_seen_at > node.last_seen_at
+        })
+        .await;
     }
 
     pub async fn artifact(&self, content: &[u8]) -> ArtifactHash {

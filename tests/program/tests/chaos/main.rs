@@ -378,7 +378,7 @@ async fn a_service_killed_ten_times_in_the_middle_of_leases_loses_nothing_that_i
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_that_ends_gives_its_frame_back_and_one_that_sleeps_beyond_its_lease_harms_nothing() {
-    let service = Service::start("serve", &["--lease-ttl", "1s"]).await;
+    let service = Service::start("serve", &["--lease-ttl", "5s"]).await;
     let http = service.http(Role::Operator);
     let job = submit(&http).await;
     // A worker that is asked to stop releases its frame first.

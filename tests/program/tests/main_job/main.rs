@@ -27,7 +27,7 @@ const JOB_PATIENCE: Duration = Duration::from_secs(240);
 /// A farm of two workers on this machine.
 async fn farm() -> Service {
     let flags =
-        ["--workers", "2", "--threads", "1", "--price", "3.60", "--preview", "cpu", "--lease-ttl", "2s"];
+        ["--workers", "2", "--threads", "1", "--price", "3.60", "--preview", "cpu", "--lease-ttl", "10s"];
     let farm = Service::start("farm", &flags).await;
     let film = json!({"project": "a film", "share": 1});
     assert_eq!(farm.http(Role::Operator).post("/v1/projects", &film).await.status(), StatusCode::OK);
