@@ -38,8 +38,7 @@ use std::sync::Arc;
 use forelight_forecast::Experience;
 use forelight_forecast::Strategy;
 use forelight_protocol::{
-    AccuracyRung, Job, JobId, JobSettings, JobState, Money, Node, PreviewResult, RenderSettings, Timestamp,
-    Within,
+    AccuracyRung, Job, JobId, JobSettings, JobState, Money, Node, PreviewResult, RenderSettings, Within,
 };
 use forelight_quote::{
     Limit, Measured, MeasuredProfile, Most, Quote, QuoteBasis, QuoteError, QuoteKind, SharedCacheToBuild,
@@ -61,7 +60,6 @@ pub(crate) struct Conductor {
     clock: Arc<dyn Clock>,
     metrics: Arc<Metrics>,
     changes: Changes,
-    started: Timestamp,
     watched: Mutex<Watched>,
 }
 
@@ -83,8 +81,7 @@ impl From<QuoteError> for AdvanceError {
 
 impl Conductor {
     pub fn new(store: Store, clock: Arc<dyn Clock>, metrics: Arc<Metrics>, changes: Changes) -> Self {
-        let started = clock.now();
-        Self { store, clock, metrics, changes, started, watched: Mutex::default() }
+        Self { store, clock, metrics, changes, watched: Mutex::default() }
     }
 
     /// After a plan was stored.
@@ -358,7 +355,7 @@ pub(crate) async fn compute<T: Send + 'static>(
 mod tests {
     use super::*;
     use crate::clock::SystemClock;
-    use forelight_protocol::{BundleSource, JobRequest, SceneDigest, SceneSummary};
+    use forelight_protocol::{BundleSource, JobRequest, SceneDigest, SceneSummary, Timestamp};
     use forelight_store::{Answered, NewJob};
 
     #[tokio::test]

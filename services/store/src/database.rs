@@ -209,7 +209,7 @@ impl Store {
     }
 
     /// When the service started. No node was heard of before.
-    pub(crate) fn up_since(&self) -> Timestamp {
+    pub fn up_since(&self) -> Timestamp {
         Timestamp::from_micros(self.inner.up_since.load(Ordering::Relaxed))
     }
 

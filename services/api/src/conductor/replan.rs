@@ -41,7 +41,7 @@ impl Conductor {
 
     async fn replan(&self) -> Result<(), AdvanceError> {
         let now = self.clock.now();
-        let snapshot = Snapshot::read(&self.store, now, self.started).await?;
+        let snapshot = Snapshot::read(&self.store, now, self.store.up_since()).await?;
         let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         if snapshot.jobs.is_empty() {
             return Ok(self.store.plan_still_good(&wanted).await?);
@@ -73,7 +73,7 @@ impl Conductor {
         let now = self.clock.now();
         let all = self.store.nodes(None, MOST_NODES).await?;
         let nodes: BTreeSet<NodeId> =
-            bookable(all.clone(), now, self.started).iter().map(|node| node.id).collect();
+            bookable(all.clone(), now, self.store.up_since()).iter().map(|node| node.id).collect();
         let projected =
             project(&self.store.open_bookings().await?, &self.store.open_cache_parts().await?, now);
         let stranded: BTreeSet<Waiting> = projected
