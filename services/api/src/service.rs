@@ -145,7 +145,6 @@ impl Service {
             record: Arc::default(),
             clock_steps: Arc::default(),
             changes: Changes::new(),
-            started: clock.now(),
             openapi: openapi_yaml,
         };
         // From here on, no right ends unseen.

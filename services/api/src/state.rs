@@ -79,7 +79,6 @@ pub(crate) struct App {
     pub record: Arc<Shared<TrackRecord>>,
     /// When a person last changed something, and when a plan was stored.
     pub changes: Changes,
-    pub started: Timestamp,
     /// The OpenAPI document, which is made when it is first asked for.
     pub openapi: fn() -> &'static str,
 }

@@ -26,7 +26,7 @@ impl Conductor {
         basis: Option<&QuoteBasis>,
     ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
-        let mut snapshot = Snapshot::read(&self.store, now, self.store.up_since()).await?;
+        let mut snapshot = Snapshot::read(&self.store, now).await?;
         let mut kept = forecast.job.clone();
         price(&mut kept, forecast, &snapshot.nodes);
         kept.cpu_seconds_on = on_calibrated(&kept, &snapshot.nodes);
@@ -50,7 +50,7 @@ impl Conductor {
     ) -> Result<(), AdvanceError> {
         let now = self.clock.now();
         let (job, terms) = self.store.job_with_terms(job.id).await?;
-        let mut snapshot = Snapshot::read(&self.store, now, self.store.up_since()).await?;
+        let mut snapshot = Snapshot::read(&self.store, now).await?;
         let nodes = snapshot.nodes.clone();
         let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         let mut kept = forecast.job.clone();

@@ -47,9 +47,9 @@ pub(crate) struct Snapshot {
 }
 
 impl Snapshot {
-    pub async fn read(store: &Store, now: Timestamp, started: Timestamp) -> Result<Self, StoreError> {
+    pub async fn read(store: &Store, now: Timestamp) -> Result<Self, StoreError> {
         let snapshot = Self::with_all_nodes(store, now).await?;
-        let nodes = bookable(snapshot.nodes, now, started);
+        let nodes = bookable(snapshot.nodes, now, store.up_since());
         Ok(Self { nodes, ..snapshot })
     }
 

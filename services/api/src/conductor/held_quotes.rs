@@ -30,7 +30,7 @@ impl Conductor {
             return Ok(());
         }
         let now = self.clock.now();
-        let mut snapshot = Snapshot::read(&self.store, now, self.store.up_since()).await?;
+        let mut snapshot = Snapshot::read(&self.store, now).await?;
         for &quote in quotes {
             snapshot.jobs.extend(quoted(&self.store, quote, now).await?);
         }

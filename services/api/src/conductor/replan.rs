@@ -41,7 +41,7 @@ impl Conductor {
 
     async fn replan(&self) -> Result<(), AdvanceError> {
         let now = self.clock.now();
-        let snapshot = Snapshot::read(&self.store, now, self.store.up_since()).await?;
+        let snapshot = Snapshot::read(&self.store, now).await?;
         let (parent, wanted) = (snapshot.parent, snapshot.wanted.clone());
         if snapshot.jobs.is_empty() {
             return Ok(self.store.plan_still_good(&wanted).await?);

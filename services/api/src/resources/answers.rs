@@ -130,7 +130,7 @@ fn this_minute(app: &App) -> Timestamp {
 /// The farm for questions about a job, as it stands now.
 async fn snapshot_for(app: &App, job: &Job) -> ApiResult<Snapshot> {
     let now = app.now();
-    let mut snapshot = Snapshot::read(&app.store, now, app.started).await?;
+    let mut snapshot = Snapshot::read(&app.store, now).await?;
     if job.state == JobState::Quoted {
         snapshot.jobs.extend(quoted(&app.store, job.id, now).await?);
     }
