@@ -16,7 +16,8 @@ FORELIGHT_OIDN=$("$environment/bin/python" -c 'import pathlib, pyoidn; print(pat
 export FORELIGHT_OIDN
 
 work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
+farm=
+trap stop_farm EXIT
 fail() { echo "failed: $*" >&2; exit 1; }
 scene=(deploy/scenes/kitchen --width 112 --height 63 --preview cpu)
 render() { "$FORELIGHT_BIN" render "${scene[@]}" "$@" >"$work/log" 2>&1; }
@@ -36,6 +37,17 @@ done
 echo 'an image with a cache, in a sequence, as a picture'
 run --cache on --frames 0-1 --spp 1 --denoise --out "$work/draft-####.png"
 [ -s "$work/draft-0001.png" ] || fail 'no second picture'
+
+echo 'frames of a farm, whole and in parts'
+"$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
+farm=$!
+server=$(farm_address "$work/farm" "$farm")
+cached=(--cache on --spp 2 --frame 1 --denoise)
+run "${cached[@]}" --out "$work/here.exr"
+for parts in 1 2; do
+  run "${cached[@]}" --server "$server" --data "$work/data" --parts $parts --out "$work/farm.exr" --stats "$work/stats.json"
+  "$environment/bin/python" "$here/denoise_farm.py" "$work"/{here,farm}.exr "$work/stats.json"
+done
 
 echo 'errors'
 # refuse TEXT VARIABLE FLAGS…: a render must fail with this text and leave nothing.

@@ -88,6 +88,7 @@ def job(body):
     # An error target needs four samples.
     small = {"width": 8, "height": 8, "spp": 4}
     body = without(body, "renderer", "cache", "output", "ladders", "division", "within", "profile_frames", "limits", "hold")
+    body = without(body, "denoise") if body.get("error_target") else body
     return {**body, "bundle": {"id": bundle_id}, "settings": small, "frames": "0-1", "project": "default", "samples": 16}
 
 

@@ -163,6 +163,7 @@ async fn assert_offline_images_are_the_same(
     for row in frames {
         let spec = RenderSpec {
             error_target: None,
+            denoise: false,
             job_id: job.id,
             bundle: forelight_protocol::BundleSource::Path(scenes().join("corridor").display().to_string()),
             digest: job.scene.digest,

@@ -11,4 +11,4 @@
 mod denoiser;
 mod pfm;
 
-pub use denoiser::{Denoised, Denoiser, Layers};
+pub use denoiser::{Denoised, Denoiser, Layers, Trial};

@@ -22,13 +22,16 @@ pub struct FixedCosts {
     pub plan_rays: [u64; 7],
     /// Writing the files of a finished frame, pictures included. CPU time only. 0 if no files are written.
     pub write: Spent,
+    /// Removing the noise of the image, and measuring the error that is left. CPU time only. 0 if the noise stays.
+    #[serde(default, skip_serializing_if = "crate::is_zero")]
+    pub denoise: Spent,
 }
 
 impl FixedCosts {
     /// The sum without `build`, which depends on the frame's number of triangles.
     pub const fn without_build(self) -> Spent {
-        let Self { load, build: _, plan, plan_rays: _, write } = self;
-        load.plus(plan).plus(write)
+        let Self { load, build: _, plan, plan_rays: _, write, denoise } = self;
+        load.plus(plan).plus(write).plus(denoise)
     }
 
     /// The same without planning the irradiance cache.
@@ -39,8 +42,7 @@ impl FixedCosts {
 
     /// The sum of all.
     pub const fn total(self) -> Spent {
-        let Self { load, build, plan, plan_rays: _, write } = self;
-        load.plus(build).plus(plan).plus(write)
+        self.without_build().plus(self.build)
     }
 
     /// The mean. `None` if there are none.
@@ -54,6 +56,7 @@ impl FixedCosts {
                 all.iter().map(|fixed| fixed.plan_rays[kind]).sum::<u64>() / all.len() as u64
             }),
             write: mean(|fixed| fixed.write)?,
+            denoise: mean(|fixed| fixed.denoise)?,
         })
     }
 
@@ -61,8 +64,15 @@ impl FixedCosts {
     #[must_use]
     pub fn at_speed_one(self, speed: f64) -> Self {
         let on = |spent: Spent| spent.at_speed_one(speed);
-        let Self { load, build, plan, plan_rays, write } = self;
-        Self { load: on(load), build: on(build), plan: on(plan), plan_rays, write: on(write) }
+        let Self { load, build, plan, plan_rays, write, denoise } = self;
+        Self {
+            load: on(load),
+            build: on(build),
+            plan: on(plan),
+            plan_rays,
+            write: on(write),
+            denoise: on(denoise),
+        }
     }
 }
 

@@ -46,6 +46,11 @@ pub struct JobRequest {
     /// Makes a video of the frames when the last of them is finished. Absent: none is made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub video: Option<VideoRequest>,
+    /// Whether the noise of the images is removed by Open Image Denoise, and the error that is left is measured.
+    /// Nodes without it get only the preview. Only for forelight's own renderer; cannot be combined with `within`
+    /// and `error_target`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub denoise: bool,
     /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
     #[serde(default = "default_samples")]
     #[schema(default = 256, minimum = 16, maximum = 1_000_000)]
@@ -108,6 +113,7 @@ impl JobRequest {
             division: Division::default(),
             output: None,
             video: None,
+            denoise: false,
             samples: default_samples(),
             profile_frames: None,
             ladders: Ladders::default(),
@@ -253,6 +259,9 @@ pub struct Job {
     /// The video of its frames. Absent if none is asked for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub video: Option<JobVideo>,
+    /// Whether the noise of the images is removed.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub denoise: bool,
     /// Number of pixels to profile per profiled frame.
     pub samples: u32,
     /// Largest number of frames to profile. Absent if the service decides.
@@ -332,12 +341,6 @@ impl Job {
     /// error, and go where they help.
     pub fn has_even_samples(&self) -> bool {
         self.within.is_none() && self.error_target.is_none()
-    }
-
-    /// The renderer that a node must have for its tasks. `None`: every node will do.
-    pub fn needs(&self) -> Option<RendererRequest> {
-        let own = || self.rendered_by.as_ref().map(|by| RendererRequest::own(&by.version));
-        self.renderer.clone().or_else(own)
     }
 }
 

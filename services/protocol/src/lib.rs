@@ -39,6 +39,7 @@ mod left_out;
 mod live;
 mod log;
 mod money;
+mod needs;
 mod node;
 mod output;
 mod page;
@@ -130,6 +131,7 @@ pub use live::{
 };
 pub use log::{LOG_LINE_CHARACTERS, LOG_LINES, LogLevel, LogLine, TaskLog, TaskLogLine, without_secrets};
 pub use money::Money;
+pub use needs::{Needs, WITH_DENOISER};
 pub use node::{
     Capabilities, JoinRequest, JoinToken, JoinTokenRequest, Node, NodeChange, NodePage, NodeRegistration,
     NodeState, NodeTerms,

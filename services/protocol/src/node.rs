@@ -6,7 +6,7 @@ use uuid::Uuid;
 
 use crate::{
     ArtifactHash, ByClass, Money, NodeActivity, NodeCalendar, NodeCalibration, NodeId, NodePower,
-    OWN_RENDERER, PageToken, RendererId, RendererRequest, TaskId, TimeSpan, Timestamp, WindowEnd,
+    OWN_RENDERER, PageToken, RendererId, TaskId, TimeSpan, Timestamp, WindowEnd,
 };
 
 /// Registers a node. A node with the same name is updated; it keeps its id and what an operator set.
@@ -91,6 +91,11 @@ pub struct Capabilities {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub ffmpeg: Option<String>,
+    /// Open Image Denoise and its version: 1 to 50 characters. Absent if the machine cannot remove the noise of
+    /// images. Quotes and frames of jobs with `denoise` go only to nodes that can.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(min_length = 1, max_length = 50, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
+    pub denoiser: Option<String>,
     /// Speed of one of its cores, by class of work. Absent if it was not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub calibration: Option<NodeCalibration>,
@@ -99,6 +104,9 @@ pub struct Capabilities {
 impl Capabilities {
     /// Most characters of a name.
     const LONGEST_NAME: usize = 200;
+
+    /// Most characters of a program's version.
+    pub const LONGEST_VERSION: usize = 50;
 
     /// Turns the name of a processor or an adapter into one line of 1 to 200 characters. `None` if nothing is
     /// left.
@@ -224,11 +232,6 @@ pub enum NodeState {
 }
 
 impl Node {
-    /// Whether it has a renderer that the request allows.
-    pub fn has_renderer(&self, asked: &RendererRequest) -> bool {
-        self.capabilities.renderers.iter().any(|id| asked.allows(id))
-    }
-
     /// The version of our own renderer that it has, if it says so.
     pub fn own_version(&self) -> Option<&str> {
         let own = self.capabilities.renderers.iter().find(|id| id.name == OWN_RENDERER);

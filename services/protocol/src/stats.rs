@@ -143,7 +143,8 @@ pub struct RenderStats {
     /// ambient. Loading and building are not included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_ray: Option<Rays>,
-    /// CPU time over all threads, in seconds. On the farm it includes encoding the pictures and the preview.
+    /// CPU time over all threads, in seconds. It includes removing the noise and measuring
+    /// what is left of it. On the farm it also includes encoding the pictures and the preview.
     pub cpu_seconds: f64,
     /// Costs that the process paid once for the shot. Not included in the work and CPU time of any frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -181,12 +182,19 @@ pub struct DenoisedStats {
     pub measured_pixels: u64,
     /// Camera samples by which each of them was measured.
     pub measured_samples: u32,
-    /// CPU seconds of the denoiser. Not in the frame's CPU time, as the next two.
+    /// CPU seconds of the denoiser. They are part of the frame's CPU time, as the next two.
     pub denoiser_cpu_seconds: f64,
     /// CPU seconds of tracing what the pixels show, for the denoiser.
     pub features_cpu_seconds: f64,
     /// CPU seconds of measuring the error.
     pub measuring_cpu_seconds: f64,
+}
+
+impl DenoisedStats {
+    /// CPU seconds of all of it.
+    pub fn cpu_seconds(&self) -> f64 {
+        self.denoiser_cpu_seconds + self.features_cpu_seconds + self.measuring_cpu_seconds
+    }
 }
 
 /// Camera samples that differ by pixel, to meet a requested time, amount of work or error.

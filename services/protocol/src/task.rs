@@ -288,6 +288,9 @@ pub struct ProfileSpec {
     /// Whether to measure ladders of other qualities around the settings as well.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ladders: bool,
+    /// Whether the noise of the image will be removed. The profile then prices that, too.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub denoise: bool,
     /// Error target of the job. The profile then says how many samples reach it. Any irradiance cache is
     /// filled first, and goes into the profile. Absent without a target.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -321,6 +324,9 @@ pub struct RenderSpec {
     /// The image is finished when its error is small enough. Absent: when the work is spent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_target: Option<ErrorTarget>,
+    /// Whether to remove the noise of the image, and to measure the error that is left.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub denoise: bool,
     /// Finished pixels of this frame's profile, to take over. Absent if the frame was not profiled.
     pub profile: Option<ArtifactHash>,
     /// The complete shared irradiance cache. Absent without one, and while the task waits for it.

@@ -192,6 +192,7 @@ impl Rig {
         let (shares, files): (Vec<SampleShare>, Vec<Bytes>) = shares.into_iter().unzip();
         let spec = RenderSpec {
             error_target: None,
+            denoise: false,
             job_id: JobId::new(),
             bundle: BundleSource::Path(self.scene.display().to_string()),
             digest: scene_digest(&self.scene).unwrap(),

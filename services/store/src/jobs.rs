@@ -53,6 +53,7 @@ pub(crate) struct JobRow {
     pub division: Json<Division>,
     pub output: Option<String>,
     pub video: Option<Json<VideoRequest>>,
+    pub denoise: bool,
     pub video_task: Option<Json<VideoTask>>,
     pub within: Option<Json<Within>>,
     pub error_target: Option<Json<ErrorTarget>>,
@@ -82,7 +83,7 @@ macro_rules! job_rows {
             $crate::jobs::JobRow,
             r#"SELECT id, name, project, state, bundle_id, bundle_path, bundle_source, scene, frames,
                frames_total, renderer, rendered_by, settings, samples, profile_frames, profiles_more, ladders, cache,
-               division, output, video, CASE WHEN video IS NOT NULL THEN (SELECT json_object('state', t.state,
+               division, output, denoise, video, CASE WHEN video IS NOT NULL THEN (SELECT json_object('state', t.state,
                'progress', t.progress, 'error', t.error, 'file', r.body -> '$.video.file', 'is_without_node',
                json(iif(EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) p WHERE p.value = t.renderer
                AND n.removed_at IS NULL AND n.worker IS NOT NULL AND NOT n.drain AND NOT n.pause
@@ -191,6 +192,7 @@ impl JobRow {
             division: self.division.0,
             output: self.output.as_deref().map(outputs::pattern).transpose()?,
             video,
+            denoise: self.denoise,
             shared_cache: progress.shared_cache,
             samples: self.samples,
             profile_frames: (!self.profiles_more).then_some(self.profile_frames),

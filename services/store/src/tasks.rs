@@ -4,9 +4,9 @@ pub(crate) mod listing;
 
 use forelight_protocol::{
     ArtifactHash, BundleSource, CacheFillSpec, CacheMergeSpec, CachePlanSpec, DivideSpec, ErrorTarget,
-    FrameRate, JobId, JobSettings, Money, NodeId, PartRange, Passes, PreviewSpec, ProfileSpec,
-    RenderPartSpec, RenderSettings, RenderSpec, RendererRequest, SampleShare, SceneDigest, TaskId,
-    TaskLimits, TaskSpec, Timestamp, VideoSpec,
+    FrameRate, JobId, JobSettings, Money, Needs, NodeId, PartRange, Passes, PreviewSpec, ProfileSpec,
+    RenderPartSpec, RenderSettings, RenderSpec, RenderedBy, RendererRequest, SampleShare, SceneDigest,
+    TaskId, TaskKind, TaskLimits, TaskSpec, Timestamp, VideoSpec,
 };
 use sqlx::SqliteConnection;
 
@@ -39,8 +39,9 @@ pub(crate) struct Common {
     pub digest: SceneDigest,
     pub settings: JobSettings,
     pub renderer: Option<RendererRequest>,
-    /// The version of our own renderer that a node must have.
-    pub own: Option<RendererRequest>,
+    /// The version of our own renderer that renders the job.
+    pub own: Option<RenderedBy>,
+    pub denoise: bool,
     pub error_target: Option<ErrorTarget>,
     pub deadline: Option<Timestamp>,
     pub priority: i32,
@@ -100,7 +101,8 @@ impl Common {
             digest: row.scene.0.digest,
             settings: row.settings.0.clone(),
             renderer: row.renderer.as_ref().map(|it| it.0.clone()),
-            own: row.rendered_by.as_ref().map(|it| RendererRequest::own(&it.0.version)),
+            own: row.rendered_by.as_ref().map(|it| it.0.clone()),
+            denoise: row.denoise,
             error_target: row.error_target.as_ref().map(|it| it.0),
             deadline: row.deadline_at.map(Into::into),
             priority: row.priority,
@@ -141,6 +143,7 @@ impl Common {
             settings: self.settings.clone(),
             renderer: self.renderer.clone(),
             ladders,
+            denoise: self.denoise,
             error_target: self.error_target,
             cache,
         };
@@ -218,6 +221,7 @@ impl Common {
             renderer: self.renderer.clone(),
             work,
             error_target: self.error_target,
+            denoise: self.denoise,
             profile,
             cache: None,
             frame_cache: None,
@@ -319,7 +323,10 @@ impl Common {
         };
         let needed = match &spec {
             TaskSpec::Video(_) => Some(FFMPEG.to_owned()),
-            _ => spec.renderer().or(self.own.as_ref()).map(ToString::to_string),
+            _ => {
+                let denoise = self.denoise && matches!(spec.kind(), TaskKind::Profile | TaskKind::Render);
+                Needs::of(spec.renderer(), self.own.as_ref(), denoise).as_ref().map(ToString::to_string)
+            }
         };
         run!(
             write,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use forelight_protocol::{ByClass, Job, Node, RendererRequest};
+use forelight_protocol::{ByClass, Job, Needs, Node};
 use indexmap::IndexSet;
 
 use super::farm::units;
@@ -15,8 +15,8 @@ const GENERAL: u32 = 0;
 /// by pair.
 #[derive(Default)]
 pub(super) struct Demands {
-    renderers: IndexSet<RendererRequest>,
-    /// The place of the renderer, if the job names one, and the work by class. The places here, from 1, are
+    needs: IndexSet<Needs>,
+    /// The place of what the job needs, if not every node will do, and the work by class. The places here, from 1, are
     /// the classes of work of the plan.
     list: IndexSet<(Option<usize>, Option<[u64; ByClass::CLASSES]>)>,
 }
@@ -24,16 +24,16 @@ pub(super) struct Demands {
 impl Demands {
     /// The class of work, in the plan, of a job with this work by class.
     pub fn class(&mut self, job: &Job, work: Option<ByClass>) -> u32 {
-        let renderer = job.needs().map(|renderer| self.renderers.insert_full(renderer).0);
-        let (place, _) = self.list.insert_full((renderer, work.map(ByClass::to_array)));
+        let needs = job.needs().map(|needs| self.needs.insert_full(needs).0);
+        let (place, _) = self.list.insert_full((needs, work.map(ByClass::to_array)));
         u32::try_from(place + 1).unwrap_or(GENERAL)
     }
 
-    /// Speeds of a node for the classes that it does not do at its general speed. 0 without the renderer.
+    /// Speeds of a node for the classes that it does not do at its general speed. 0 if it lacks what they need.
     pub fn speeds(&self, node: &Node) -> Arc<BTreeMap<u32, u64>> {
-        let has: Vec<bool> = self.renderers.iter().map(|renderer| node.has_renderer(renderer)).collect();
-        let speed = |&(renderer, work): &(Option<usize>, Option<[u64; ByClass::CLASSES]>)| {
-            if renderer.is_some_and(|renderer| !has[renderer]) {
+        let has: Vec<bool> = self.needs.iter().map(|needs| node.has(needs)).collect();
+        let speed = |&(needs, work): &(Option<usize>, Option<[u64; ByClass::CLASSES]>)| {
+            if needs.is_some_and(|needs| !has[needs]) {
                 return Some(0);
             }
             let speed = node.corrected_speed(work.map(ByClass::from_array).as_ref())?;

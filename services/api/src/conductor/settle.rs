@@ -12,8 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use forelight_planner as planner;
 use forelight_planner::{AtRisk, Booking, Precedence, Reason, Rescue};
 use forelight_protocol::{
-    JobId, JobVerdict, Money, NodeId, ProjectShare, Promise, RendererRequest, Timestamp, Verdict, WaitKind,
-    Waits,
+    JobId, JobVerdict, Money, Needs, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
 };
 use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
 
@@ -289,13 +288,13 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
     }
 }
 
-fn unplaced(farm: &Farm, renderer: Option<&RendererRequest>, entry: Option<&planner::JobPlan>) -> String {
+fn unplaced(farm: &Farm, needs: Option<&Needs>, entry: Option<&planner::JobPlan>) -> String {
     match entry.map(|entry| &entry.verdict) {
         _ if farm.nodes.is_empty() => "there is no node that takes work".to_owned(),
-        _ if let Some(renderer) = renderer
-            && !farm.nodes.iter().any(|node| node.has_renderer(renderer)) =>
+        _ if let Some(needs) = needs
+            && !farm.nodes.iter().any(|node| node.has(needs)) =>
         {
-            format!("no node that takes work has {renderer}")
+            format!("no node that takes work has {needs}")
         }
         Some(planner::Verdict::Unplaced { shared_cache: true, .. }) => NO_ROOM_FOR_CACHE.to_owned(),
         Some(planner::Verdict::Unplaced { frames, .. }) if frames.len() == 1 => {

@@ -1,10 +1,10 @@
 //! Jobs whose images are rendered until their error is small enough.
 
+use crate::support::made_up::made_up_denoised;
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    AnswersDoc, Confidence, DenoisedStats, Division, ErrorTarget, Explanation, ImageError, Job, JobState,
-    PartCount, ProblemKind, ProfileResult, RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult,
-    TaskSpec,
+    AnswersDoc, Confidence, Division, ErrorTarget, Explanation, Job, JobState, PartCount, ProblemKind,
+    ProfileResult, RenderResult, RenderStats, SamplesForError, TaskKind, TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -80,17 +80,7 @@ async fn frames_cost_what_their_error_takes_and_end_when_it_is_reached() {
     let problem = farm.report(&lease, TaskResult::Render(missed)).await.problem(ProblemKind::Invalid).await;
     assert_eq!(problem.pointer.as_deref(), Some("/result/render/stats/allotted/error"));
     let mut denoised = made.clone();
-    let error = ImageError::default();
-    denoised.stats.denoised = Some(DenoisedStats {
-        by: "a denoiser".to_owned(),
-        error,
-        noisy: error,
-        measured_pixels: 1,
-        measured_samples: 1,
-        denoiser_cpu_seconds: 0.0,
-        features_cpu_seconds: 0.0,
-        measuring_cpu_seconds: 0.0,
-    });
+    denoised.stats.denoised = Some(made_up_denoised());
     let problem = farm.report(&lease, TaskResult::Render(denoised)).await.problem(ProblemKind::Invalid).await;
     assert_eq!(problem.pointer.as_deref(), Some("/result/render/stats/denoised"));
     farm.finish(&lease).await;

@@ -7,6 +7,7 @@ mod calibration;
 mod changes;
 mod cost_limits;
 mod delivery;
+mod denoised;
 mod division;
 mod document;
 mod encryption;

@@ -3,8 +3,8 @@
 
 use super::Farm;
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, Described, DivideResult, DivideSpec,
-    ErrorTarget, FinishedPart, FixedCosts, FixedPart, FrameStrata, ImageError, LadderKind, Lease,
+    AccuracyDoc, AccuracyRung, AllottedStats, ArtifactHash, ByClass, DenoisedStats, Described, DivideResult,
+    DivideSpec, ErrorTarget, FinishedPart, FixedCosts, FixedPart, FrameStrata, ImageError, LadderKind, Lease,
     MeasuredFrame, MeasuredShare, MissingLadder, NoiseCell, NoiseSample, PartPixels, PartRange, PixelRange,
     PreviewBackend, PreviewResult, PreviewSpec, ProfileArtifacts, ProfileResult, ProfileSample, ProfileSpec,
     Profiled, Quantiles, Rays, RenderArtifacts, RenderPartResult, RenderPartSpec, RenderResult, RenderSpec,
@@ -12,6 +12,9 @@ use forelight_protocol::{
     ShotSettings, Spent, SpentOnForecast, Stratum, StratumName, StratumTime, TaskResult, TaskSpec, Varied,
     VideoFile, VideoResult, VideoSpec,
 };
+
+/// CPU time of removing the noise of a made-up frame, nanoseconds.
+pub const DENOISING: u64 = 200_000_000_000;
 
 impl Farm {
     /// The result of a task. Its artefacts are stored.
@@ -112,7 +115,11 @@ impl Farm {
             work_by_class: Some(ByClass { rays: 800, memory: 200, ..ByClass::default() }),
             left_out: Vec::new(),
             renderer: Some("made up 1".to_owned()),
-            fixed: FixedCosts { load: Spent { work: 5, cpu_nanos: 5_000_000 }, ..FixedCosts::default() },
+            fixed: FixedCosts {
+                load: Spent { work: 5, cpu_nanos: 5_000_000 },
+                denoise: Spent { work: 0, cpu_nanos: if spec.denoise { DENOISING } else { 0 } },
+                ..FixedCosts::default()
+            },
             file_bytes: Some(5000),
             once: None,
             ladders: spec.ladders.then(|| Box::new(made_up_ladders(spec))),
@@ -137,7 +144,7 @@ impl Farm {
                 width: spec.settings.size().unwrap().0,
                 height: spec.settings.size().unwrap().1,
                 spp: spec.settings.samples().unwrap() + u32::from(spec.work.is_some()),
-                denoised: None,
+                denoised: spec.denoise.then(made_up_denoised),
                 allotted: spec.work.map(|_| {
                     Box::new(AllottedStats {
                         least: 1,
@@ -202,6 +209,21 @@ fn preview(spec: &PreviewSpec) -> PreviewResult {
         backend: PreviewBackend::Cpu,
         spent: Spent { work: 100, cpu_nanos: 100_000 },
         described: spec.renderer.as_ref().map(|_| Box::new(described(spec))),
+    }
+}
+
+/// What a made-up worker says of removing noise.
+pub fn made_up_denoised() -> DenoisedStats {
+    let error = |error| ImageError { p05: error / 2.0, p50: error, p80: error, p95: 2.0 * error };
+    DenoisedStats {
+        by: "a denoiser 1".to_owned(),
+        error: error(0.02),
+        noisy: error(0.05),
+        measured_pixels: 1,
+        measured_samples: 64,
+        denoiser_cpu_seconds: 0.01,
+        features_cpu_seconds: 0.01,
+        measuring_cpu_seconds: 0.01,
     }
 }
 

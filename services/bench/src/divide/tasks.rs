@@ -186,6 +186,7 @@ impl Tasks {
     ) -> Result<(RenderStats, ArtifactHash)> {
         let spec = RenderSpec {
             error_target: None,
+            denoise: false,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest,

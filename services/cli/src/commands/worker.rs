@@ -6,6 +6,7 @@ use crate::named;
 use anyhow::{Context, Result};
 use etcetera::BaseStrategy as _;
 use forelight_client::Client;
+use forelight_denoise::{Denoiser, Trial};
 use forelight_kept::Folder;
 use forelight_preview::SharedPreviewer;
 use forelight_protocol::words::counted;
@@ -16,7 +17,7 @@ use forelight_protocol::{
 use forelight_renderer::door::Renderer;
 use forelight_renderer::process::Sandbox;
 use forelight_renderer::{Execute, Renderers};
-use forelight_renderer_own::{OwnRenderer, TaskRunner, node_speed};
+use forelight_renderer_own::{Denoising, OwnRenderer, TaskRunner, node_speed};
 use forelight_store::{DATABASE, token_hash, tokens};
 use forelight_terminal::atomic_file::write_secret;
 use forelight_terminal::failure::{BadInput, Interrupted};
@@ -185,11 +186,14 @@ pub fn equipment(
     let video =
         encoder.map(|encoder| Box::new(VideoTasks::new(encoder, sandbox.clone())) as Box<dyn Execute>);
     let others = others(&options.command, renderer.previewer())?;
-    let renderers = Renderers::new(Arc::new(TaskRunner::new(renderer)), others, sandbox).with_video(video);
+    let (denoiser, denoising) = denoising(sandbox.clone()).unzip();
+    let own = TaskRunner::new(renderer).with_denoising(denoising);
+    let renderers = Renderers::new(Arc::new(own), others, sandbox).with_video(video);
     let capabilities = Capabilities {
         version: Some(env!("CARGO_PKG_VERSION").to_owned()),
         renderers: [OwnRenderer::id()].into_iter().chain(renderers.ids()).collect(),
         ffmpeg,
+        denoiser,
         gpu: adapter.as_ref().is_some_and(|adapter| adapter.is_hardware),
         vulkan_adapter: adapter.and_then(|adapter| Capabilities::name(&adapter.name)),
         ..machine()
@@ -203,6 +207,15 @@ fn end_orphans() {
     if number > 0 {
         tracing::warn!(number, "processes that a killed worker's programs had left behind were ended");
     }
+}
+
+/// What removes noise on this machine, by its name and version. Logs why nothing does.
+fn denoising(sandbox: Option<Arc<Sandbox>>) -> Option<(String, Denoising)> {
+    let tried = Denoiser::find().and_then(|denoiser| {
+        let Trial { by, nanos_per_pixel } = denoiser.try_out(sandbox.as_deref())?;
+        Ok((by, Denoising { denoiser, nanos_per_pixel, sandbox }))
+    });
+    tried.inspect_err(|reason| tracing::info!(%reason, "this worker leaves noise in images")).ok()
 }
 
 /// The renderers besides our own. Logs those that were found, and why others were not.

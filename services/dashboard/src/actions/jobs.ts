@@ -5,7 +5,19 @@ import type { Job, JobChange, JobRequest, PlanChange, RenderSettings } from "../
 
 /** A request that repeats a job. */
 export function requestOf(job: Job): JobRequest {
-  const { settings, renderer, within, error_target, limits, cache, ladders, division, output, video } = job;
+  const {
+    settings,
+    renderer,
+    within,
+    error_target,
+    limits,
+    cache,
+    ladders,
+    division,
+    output,
+    video,
+    denoise,
+  } = job;
   return {
     name: job.name,
     project: job.project,
@@ -27,6 +39,7 @@ export function requestOf(job: Job): JobRequest {
     ...(ladders ? { ladders } : {}),
     ...(division ? { division } : {}),
     ...(output ? { output } : {}),
+    ...(denoise ? { denoise } : {}),
     ...(video ? { video: { frames_per_second: video.frames_per_second } } : {}),
   };
 }

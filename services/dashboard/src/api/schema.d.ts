@@ -2238,6 +2238,9 @@ export interface components {
         /** @description Properties of a machine, as found by its worker. */
         Capabilities: {
             calibration?: components["schemas"]["NodeCalibration"] | null;
+            /** @description Open Image Denoise and its version: 1 to 50 characters. Absent if the machine cannot remove the noise of
+             *     images. Quotes and frames of jobs with `denoise` go only to nodes that can. */
+            denoiser?: string | null;
             /** @description Version of ffmpeg: 1 to 50 characters. Absent if the machine cannot encode videos. */
             ffmpeg?: string | null;
             /** @description Whether that adapter is a hardware GPU, not a software driver. */
@@ -2539,7 +2542,7 @@ export interface components {
             by: string;
             /**
              * Format: double
-             * @description CPU seconds of the denoiser. Not in the frame's CPU time, as the next two.
+             * @description CPU seconds of the denoiser. They are part of the frame's CPU time, as the next two.
              */
             denoiser_cpu_seconds: number;
             /** @description Error of the denoised image. Its interval is that of the measurement. */
@@ -2815,6 +2818,8 @@ export interface components {
         FixedCosts: {
             /** @description Building the acceleration structure. */
             build: components["schemas"]["Spent"];
+            /** @description Removing the noise of the image, and measuring the error that is left. CPU time only. 0 if the noise stays. */
+            denoise?: components["schemas"]["Spent"];
             /** @description Setting up the frame: applying its animation. */
             load: components["schemas"]["Spent"];
             /** @description Planning the irradiance cache, and reading the shared one if there is one. 0 without a cache. */
@@ -3220,6 +3225,8 @@ export interface components {
             /** @description When it was submitted. */
             created_at: components["schemas"]["Timestamp"];
             deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether the noise of the images is removed. */
+            denoise?: boolean;
             /** @description Whether frames are divided into parts that several nodes render at the same time. */
             division?: components["schemas"]["Division"];
             /** @description Why the job failed. Absent if it did not. */
@@ -3419,6 +3426,10 @@ export interface components {
             /** @description Probability with which the plan must keep deadline and budget. */
             confidence?: components["schemas"]["Confidence"];
             deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether the noise of the images is removed by Open Image Denoise, and the error that is left is measured.
+             *     Nodes without it get only the preview. Only for forelight's own renderer; cannot be combined with `within`
+             *     and `error_target`. */
+            denoise?: boolean;
             /** @description Whether frames are divided into parts that several nodes render at the same time. */
             division?: components["schemas"]["Division"];
             error_target?: components["schemas"]["ErrorTarget"] | null;
@@ -4712,6 +4723,8 @@ export interface components {
             /** @description Its bundle. */
             bundle: components["schemas"]["BundleSource"];
             cache?: components["schemas"]["ArtifactHash"] | null;
+            /** @description Whether the noise of the image will be removed. The profile then prices that, too. */
+            denoise?: boolean;
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
             error_target?: components["schemas"]["ErrorTarget"] | null;
@@ -5227,6 +5240,8 @@ export interface components {
             /** @description Its bundle. */
             bundle: components["schemas"]["BundleSource"];
             cache?: components["schemas"]["ArtifactHash"] | null;
+            /** @description Whether to remove the noise of the image, and to measure the error that is left. */
+            denoise?: boolean;
             /** @description Expected hash of the scene's files. A worker that finds other files fails the task permanently. */
             digest: components["schemas"]["SceneDigest"];
             error_target?: components["schemas"]["ErrorTarget"] | null;
@@ -5264,7 +5279,8 @@ export interface components {
             cache_records?: number[];
             /**
              * Format: double
-             * @description CPU time over all threads, in seconds. On the farm it includes encoding the pictures and the preview.
+             * @description CPU time over all threads, in seconds. It includes removing the noise and measuring
+             *     what is left of it. On the farm it also includes encoding the pictures and the preview.
              */
             cpu_seconds: number;
             denoised?: components["schemas"]["DenoisedStats"] | null;

@@ -64,4 +64,4 @@ pub use render::pictures::png;
 pub use render::{Given, Rendered, render_frame, render_ready};
 pub use shared_cache::{Filled, SharedPlan, SharedProfile, fill_part, plan_shared, profile_shared};
 pub use shot::OwnShot;
-pub use tasks::TaskRunner;
+pub use tasks::{Denoising, TaskRunner};

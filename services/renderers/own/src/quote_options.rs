@@ -13,12 +13,21 @@ pub struct QuoteOptions {
     pub seed: u64,
     /// How pixels are chosen, and how their costs are expanded to the frame.
     pub strategy: Strategy,
+    /// CPU time that a denoiser takes for a pixel, nanoseconds. `None`: images keep their noise.
+    pub denoiser_nanos_per_pixel: Option<u64>,
     /// Corrections of the quantiles from past jobs with the same renderer and class of features.
     pub corrections: Option<Corrections>,
 }
 
 impl Default for QuoteOptions {
     fn default() -> Self {
-        Self { samples: 256, profile_frames: None, seed: 0, strategy: Strategy::Snapshot, corrections: None }
+        Self {
+            samples: 256,
+            profile_frames: None,
+            seed: 0,
+            strategy: Strategy::Snapshot,
+            denoiser_nanos_per_pixel: None,
+            corrections: None,
+        }
     }
 }

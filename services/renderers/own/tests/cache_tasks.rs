@@ -101,6 +101,7 @@ impl Rig {
     fn render(&self) -> TaskSpec {
         TaskSpec::Render(RenderSpec {
             error_target: None,
+            denoise: false,
             job_id: JobId::new(),
             bundle: self.bundle(),
             digest: self.digest,

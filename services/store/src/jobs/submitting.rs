@@ -63,7 +63,8 @@ impl Store {
             settings: settings.clone(),
             renderer: request.renderer.clone(),
             own: None,
-            error_target: new.request.error_target,
+            denoise: request.denoise,
+            error_target: request.error_target,
             deadline: request.deadline,
             priority: request.priority,
             limits: request.limits,
@@ -103,7 +104,7 @@ async fn insert(
         "INSERT INTO jobs (id, name, project, stage, bundle_id, bundle_path, bundle_source, scene, \
          frames, frames_total, settings, samples, profile_frames, deadline_at, budget, confidence, \
          priority, created_at, limits, within, cache, weight, profiles_more, ladders, renderer, hold, division, output, \
-         submitted_by, video, error_target, frame_bytes) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         submitted_by, video, denoise, error_target, frame_bytes) VALUES (?, ?, ?, 'previewing', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
         job_id.0,
         request.name,
         request.project,
@@ -133,6 +134,7 @@ async fn insert(
         request.output.as_ref().map(ToString::to_string),
         submitter,
         request.video.as_ref().map(Json),
+        request.denoise,
         request.error_target.map(Json),
         frame_bytes(settings)
     );

@@ -1,6 +1,8 @@
 //! Keeps a job with one version of our own renderer: see [`crate::policy::versions`].
 
-use forelight_protocol::{Event, EventKind, JobId, Node, RenderedBy, RendererRequest, Timestamp};
+use forelight_protocol::{
+    Event, EventKind, JobId, Needs, Node, RenderedBy, RendererRequest, Timestamp, WITH_DENOISER,
+};
 
 use crate::columns::Json;
 use crate::database::Write;
@@ -14,8 +16,12 @@ use crate::{division, nodes};
 
 /// Chooses the version that renders a job of our own renderer, when it is previewed.
 pub(crate) async fn choose(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
+    let denoise = sqlx::query_scalar!("SELECT denoise FROM jobs WHERE id = ?", job.0);
+    let denoise = denoise.fetch_one(write.connection().await?).await?;
     let nodes = nodes::list(write.connection().await?, None, u32::MAX).await?;
-    let Some(version) = version_to_use(&nodes, now) else { return Ok(()) };
+    // A job that must wait for a denoiser has a version all the same, and another one when a node has both.
+    let version = version_to_use(&nodes, denoise, now).or_else(|| version_to_use(&nodes, false, now));
+    let Some(version) = version else { return Ok(()) };
     run!(
         write,
         "UPDATE jobs SET rendered_by = ? WHERE id = ?",
@@ -32,8 +38,9 @@ pub(crate) async fn replace_lost(write: &mut Write, up_since: Timestamp, now: Ti
         r#"SELECT EXISTS (SELECT 1 FROM jobs j
                WHERE j.state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering') AND j.rendered_by IS NOT NULL
                AND NOT EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) r
-                   WHERE r.value = 'forelight ' || (j.rendered_by ->> 'version') AND n.removed_at IS NULL
-                   AND NOT n.drain AND n.set_aside IS NULL AND n.last_seen_at >= ?)) AS "some!: bool""#,
+                   WHERE r.value = 'forelight ' || (j.rendered_by ->> 'version') || iif(j.denoise, ?, '')
+                   AND n.removed_at IS NULL AND NOT n.drain AND n.set_aside IS NULL AND n.last_seen_at >= ?)) AS "some!: bool""#,
+        WITH_DENOISER,
         now.plus_micros(-nodes::LOST).micros()
     )
     .fetch_one(write.connection().await?)
@@ -44,9 +51,9 @@ pub(crate) async fn replace_lost(write: &mut Write, up_since: Timestamp, now: Ti
     let nodes = nodes::list(write.connection().await?, None, u32::MAX).await?;
     let heard = |node: Node| Node { last_seen_at: node.last_seen_at.max(up_since), ..node };
     let nodes: Vec<Node> = nodes.into_iter().map(heard).collect();
-    let Some(version) = version_to_use(&nodes, now) else { return Ok(()) };
     let jobs = sqlx::query!(
-        r#"SELECT j.id, j.name, j.rendered_by AS "rendered_by!", EXISTS (SELECT 1 FROM tasks t
+        r#"SELECT j.id, j.name, j.denoise, j.rendered_by AS "rendered_by!",
+                  EXISTS (SELECT 1 FROM tasks t
                   WHERE t.job_id = j.id AND t.state = 'done' AND t.kind <> 'preview') AS "has_begun!: bool"
            FROM jobs j WHERE j.state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering')
            AND j.rendered_by IS NOT NULL ORDER BY j.id"#
@@ -55,11 +62,12 @@ pub(crate) async fn replace_lost(write: &mut Write, up_since: Timestamp, now: Ti
     .await?;
     for row in jobs {
         let before = row.rendered_by.0;
-        if is_left(&nodes, &before.version, now) {
+        if is_left(&nodes, &before.version, row.denoise, now) {
             continue;
         }
+        let Some(version) = version_to_use(&nodes, row.denoise, now) else { continue };
         let job = (JobId::from(row.id), row.name.as_str());
-        let why = format!("no node has {} any more", RendererRequest::own(&before.version));
+        let why = format!("no node has {} any more", Needs::own(&before.version, row.denoise));
         replace(write, job, (before, row.has_begun), (&version, &why), now).await?;
     }
     Ok(())
@@ -92,11 +100,14 @@ async fn replace(
     (version, why): (&str, &str),
     now: Timestamp,
 ) -> Result<()> {
-    let [old, new] = [&before.version, version].map(|version| RendererRequest::own(version).to_string());
+    let of = |version: &str| [false, true].map(|denoise| Needs::own(version, denoise).to_string());
+    let ([old, old_denoised], [new, new_denoised]) = (of(&before.version), of(version));
     let mixed = if has_begun { Some(words(&old, &new, why, now)) } else { before.mixed };
     let after = RenderedBy { version: version.to_owned(), mixed };
     run!(write, "UPDATE jobs SET rendered_by = ? WHERE id = ?", Json(&after), job.0);
-    run!(write, "UPDATE tasks SET renderer = ? WHERE job_id = ? AND renderer = ?", new, job.0, old);
+    for (new, old) in [(&new, &old), (&new_denoised, &old_denoised)] {
+        run!(write, "UPDATE tasks SET renderer = ? WHERE job_id = ? AND renderer = ?", new, job.0, old);
+    }
     if has_begun {
         render_parts_again(write, job, now).await?;
     }

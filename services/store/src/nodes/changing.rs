@@ -1,8 +1,7 @@
 //! Registering nodes and changing them.
 
 use forelight_protocol::{
-    AuditAction, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, RendererId, Role,
-    Timestamp,
+    AuditAction, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Role, Timestamp,
 };
 
 use crate::audit::{Deed, note};
@@ -94,9 +93,8 @@ pub(crate) async fn upsert(
     };
     let may_price = write.actor().is_none_or(|actor| actor.role == Role::Operator);
     let capabilities = &registration.capabilities;
-    let renderers = capabilities.renderers.iter().flat_map(RendererId::answers_to);
-    let renderers: Vec<String> =
-        renderers.chain(capabilities.ffmpeg.as_ref().map(|_| FFMPEG.to_owned())).collect();
+    let ffmpeg = capabilities.ffmpeg.as_ref().map(|_| FFMPEG.to_owned());
+    let renderers: Vec<String> = capabilities.answers().into_iter().chain(ffmpeg).collect();
     let node_id: NodeId = sqlx::query_scalar!(
         "INSERT INTO nodes (id, name, speed, price_per_hour, cores, created_at, last_seen_at, \
          capabilities, schedule, worker, renderers) VALUES (?, ?, ?, ?, ?, ?6, ?6, ?7, ?8, ?9, ?10) ON CONFLICT (name) \

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use forelight_protocol::{Job, JobId, Node, RendererRequest, Timestamp, Waits};
+use forelight_protocol::{Job, JobId, Needs, Node, Timestamp, Waits};
 use sqlx::SqliteConnection;
 
 use crate::database::Store;
@@ -48,7 +48,7 @@ pub(crate) async fn unattended(
     now: Timestamp,
 ) -> Result<Unattended> {
     let jobs = sqlx::query!(
-        r#"SELECT j.id, j.project, j.renderer, j.rendered_by,
+        r#"SELECT j.id, j.project, j.renderer, j.rendered_by, j.denoise,
                   EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.held = 1) AS "is_held!: bool"
            FROM jobs j WHERE j.state IN ('previewing', 'profiling')
            AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"#
@@ -57,17 +57,16 @@ pub(crate) async fn unattended(
     .await?;
     let (held, jobs): (Vec<_>, Vec<_>) = jobs.into_iter().partition(|job| job.is_held);
     let held = held.into_iter().map(|job| (JobId::from(job.id), Waits::for_budget(&job.project)));
-    let needs_own = jobs.iter().all(|job| job.renderer.is_none());
+    let needs_own = jobs.iter().all(|job| job.renderer.is_none() && !job.denoise);
     if jobs.is_empty() || needs_own && somebody_is_there(connection, ttl, now).await? {
         return Ok(Unattended { jobs: held.collect() });
     }
     let nodes = nodes::list(connection, None, u32::MAX).await?;
     let nodes: Vec<Node> = nodes.into_iter().map(|node| as_it_is(node, ttl, now)).collect();
-    let why = |job: &Option<RendererRequest>| why_nobody_works(&nodes, job.as_ref());
     let jobs = jobs.into_iter().filter_map(|job| {
-        let own = || job.rendered_by.map(|it| RendererRequest::own(&it.0.version));
-        let renderer = job.renderer.map(|it| it.0).or_else(own);
-        Some((JobId::from(job.id), why(&renderer)?))
+        let (renderer, by) = (job.renderer.map(|it| it.0), job.rendered_by.map(|it| it.0));
+        let needs = Needs::of(renderer.as_ref(), by.as_ref(), job.denoise);
+        Some((JobId::from(job.id), why_nobody_works(&nodes, needs.as_ref())?))
     });
     Ok(Unattended { jobs: held.chain(jobs).collect() })
 }

@@ -2,17 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use forelight_protocol::{
-    Node, NodePower, NodeState, PowerState, RendererRequest, Timestamp, WaitKind, Waits,
-};
+use forelight_protocol::{Needs, Node, NodePower, NodeState, PowerState, Timestamp, WaitKind, Waits};
 
-/// Why none of these nodes, as they are now, takes tasks of this renderer; `None` if one does. Every node has
-/// our own renderer.
-pub(crate) fn why_nobody_works(nodes: &[Node], renderer: Option<&RendererRequest>) -> Option<Waits> {
+/// Why none of these nodes, as they are now, takes tasks that need this; `None` if one does.
+pub(crate) fn why_nobody_works(nodes: &[Node], needs: Option<&Needs>) -> Option<Waits> {
     let mut kept_by: BTreeMap<&'static str, usize> = BTreeMap::new();
     let mut until: Option<Timestamp> = None;
-    let has_renderer = |node: &&Node| renderer.is_none_or(|asked| node.has_renderer(asked));
-    for node in nodes.iter().filter(has_renderer) {
+    let fits = |node: &&Node| needs.is_none_or(|needs| node.has(needs));
+    for node in nodes.iter().filter(fits) {
         let sleeps = node.power.filter(|power| power.state == PowerState::Asleep);
         let by = match (node.state, sleeps) {
             (NodeState::Silent, _) => "silent",
@@ -29,9 +26,9 @@ pub(crate) fn why_nobody_works(nodes: &[Node], renderer: Option<&RendererRequest
     }
     let because = if nodes.is_empty() {
         "waits because no worker has registered; `forelight worker` starts one".to_owned()
-    } else if let (true, Some(renderer)) = (kept_by.is_empty(), renderer) {
+    } else if let (true, Some(needs)) = (kept_by.is_empty(), needs) {
         format!(
-            "waits because no node has {renderer}: install it on a worker's machine and start the worker again"
+            "waits because no node has {needs}: install it on a worker's machine and start the worker again"
         )
     } else {
         let counts: Vec<String> = kept_by.iter().map(|(by, count)| format!("{count} {by}")).collect();
@@ -45,7 +42,7 @@ pub(crate) fn why_nobody_works(nodes: &[Node], renderer: Option<&RendererRequest
 mod tests {
     use super::*;
     use crate::policy::nodes::tests::node;
-    use forelight_protocol::RendererId;
+    use forelight_protocol::{RendererId, RendererRequest};
 
     fn asleep(until: Option<i64>) -> Node {
         let power = NodePower { state: PowerState::Asleep, until: until.map(Timestamp::from_micros) };
@@ -71,6 +68,7 @@ mod tests {
     #[test]
     fn a_job_waits_for_a_node_that_has_its_renderer() {
         let cycles = RendererRequest { name: "cycles".to_owned(), version: Some("5".to_owned()) };
+        let cycles = Needs { renderer: cycles, denoiser: false };
         let none = why_nobody_works(&[node()], Some(&cycles)).unwrap();
         assert!(none.because.contains("no node has cycles 5"), "{}", none.because);
         let mut blender = node();

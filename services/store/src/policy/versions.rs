@@ -13,10 +13,11 @@ use crate::nodes::LOST;
 use crate::policy::availability::silence;
 
 /// The version of our own renderer that most cores of these nodes have; of several, the newest. `None` if no
-/// node that takes tasks states its version.
-pub(crate) fn version_to_use(nodes: &[Node], now: Timestamp) -> Option<String> {
+/// node that takes tasks states its version, or none of them can `denoise` where that is asked for.
+pub(crate) fn version_to_use(nodes: &[Node], denoise: bool, now: Timestamp) -> Option<String> {
     let mut cores: BTreeMap<&str, u64> = BTreeMap::new();
-    for node in nodes.iter().filter(|node| node.takes_tasks() && is_there(node, now)) {
+    let fits = |node: &&Node| node.takes_tasks() && is_there(node, now) && can(node, denoise);
+    for node in nodes.iter().filter(fits) {
         let Some(version) = node.own_version() else { continue };
         *cores.entry(version).or_default() += u64::from(node.cores);
     }
@@ -26,9 +27,15 @@ pub(crate) fn version_to_use(nodes: &[Node], now: Timestamp) -> Option<String> {
 
 /// Whether a node with this version may still work: it is there, and is neither drained nor set aside. One that
 /// is paused or asleep comes back.
-pub(crate) fn is_left(nodes: &[Node], version: &str, now: Timestamp) -> bool {
-    let works = |node: &Node| !node.drain && node.set_aside.is_none() && is_there(node, now);
+pub(crate) fn is_left(nodes: &[Node], version: &str, denoise: bool, now: Timestamp) -> bool {
+    let works =
+        |node: &Node| !node.drain && node.set_aside.is_none() && is_there(node, now) && can(node, denoise);
     nodes.iter().any(|node| node.own_version() == Some(version) && works(node))
+}
+
+/// Whether the node can remove noise, if it is to.
+fn can(node: &Node, denoise: bool) -> bool {
+    !denoise || node.capabilities.denoiser.is_some()
 }
 
 pub(crate) fn is_there(node: &Node, now: Timestamp) -> bool {
@@ -64,7 +71,7 @@ mod tests {
     #[test]
     fn the_version_of_most_cores_is_used_and_of_equal_ones_the_newest() {
         let now = node().last_seen_at;
-        let used = |nodes: &[Node]| version_to_use(nodes, now);
+        let used = |nodes: &[Node]| version_to_use(nodes, false, now);
         assert_eq!(used(&[having(9, 8), having(10, 4), having(10, 3)]).as_deref(), Some("tracer-9"));
         assert_eq!(used(&[having(9, 8), having(10, 8)]).as_deref(), Some("tracer-10"));
         assert_eq!(
@@ -72,12 +79,17 @@ mod tests {
             Some("tracer-10")
         );
         assert_eq!(used(&[node()]), None);
+        let mut denoising = having(9, 1);
+        denoising.capabilities.denoiser = Some("Open Image Denoise 2.5.1".to_owned());
+        let denoised = |nodes: &[Node]| version_to_use(nodes, true, now);
+        assert_eq!(denoised(&[having(10, 8), denoising]).as_deref(), Some("tracer-9"));
+        assert_eq!(denoised(&[having(10, 8)]), None);
     }
 
     #[test]
     fn a_version_is_left_while_a_node_that_has_it_may_come_back() {
         let now = node().last_seen_at;
-        let left = |node: Node, now| is_left(&[node, having(14, 1)], "tracer-13", now);
+        let left = |node: Node, now| is_left(&[node, having(14, 1)], "tracer-13", false, now);
         assert!(left(having(13, 1), now) && left(Node { pause: true, ..having(13, 1) }, now));
         assert!(!left(Node { drain: true, ..having(13, 1) }, now));
         assert!(!left(Node { set_aside: Some("faults".to_owned()), ..having(13, 1) }, now));

@@ -6,19 +6,30 @@ use crate::pixel::{Feature, Pixel};
 use crate::random::hash;
 use rayon::prelude::*;
 
+/// Pixels whose features one thread traces before it looks whether to stop.
+const FEATURES_AT_ONCE: usize = 256;
+
 impl Tracer {
     /// What the first `samples` camera samples of every pixel show, on average, in row-major order, and the
     /// CPU time in nanoseconds. Uses the current thread pool. `None` if `stop` returned `true`.
     pub fn features(&self, samples: u32, stop: &(dyn Fn() -> bool + Sync)) -> Option<(Vec<Feature>, u64)> {
-        let width = self.settings.width;
-        let row = |y: u32| {
-            let pixels = y * width..(y + 1) * width;
-            let trace =
-                || pixels.map(|index| self.kernel.feature(self, index, samples)).collect::<Vec<Feature>>();
-            (!stop()).then(|| clocked(trace))
+        let all: Vec<u32> = (0..self.settings.width * self.settings.height).collect();
+        self.features_of(&all, samples, stop)
+    }
+
+    /// The same for some pixels by their indices.
+    pub fn features_of(
+        &self,
+        pixels: &[u32],
+        samples: u32,
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<(Vec<Feature>, u64)> {
+        let shown = |&index: &u32| self.kernel.feature(self, index, samples);
+        let batch = |pixels: &[u32]| {
+            (!stop()).then(|| clocked(|| pixels.iter().map(shown).collect::<Vec<Feature>>()))
         };
-        let rows = (0..self.settings.height).into_par_iter().map(row).collect::<Option<Vec<_>>>()?;
-        let (features, nanos): (Vec<_>, Vec<u64>) = rows.into_iter().unzip();
+        let batches = pixels.par_chunks(FEATURES_AT_ONCE).map(batch).collect::<Option<Vec<_>>>()?;
+        let (features, nanos): (Vec<_>, Vec<u64>) = batches.into_iter().unzip();
         Some((features.concat(), nanos.into_iter().sum()))
     }
 

@@ -106,6 +106,12 @@ fn check_chosen_samples(request: &JobRequest) -> ApiResult<()> {
         );
         return Err(ApiError::invalid("/cache", reason));
     }
+    if request.denoise {
+        let reason = format!(
+            "an image whose camera samples differ by pixel keeps its noise: leave out `denoise` or `{chosen_by}`"
+        );
+        return Err(ApiError::invalid("/denoise", reason));
+    }
     if request.ladders == Ladders::All {
         let reason = format!(
             "camera samples are chosen here, not by what they cost: leave out `ladders` or `{chosen_by}`"
@@ -170,6 +176,7 @@ async fn other_renderer(app: &App, caller: &Principal, mut request: JobRequest) 
         ("/within", request.within.is_some()),
         ("/error_target", request.error_target.is_some()),
         ("/ladders", request.ladders == Ladders::All),
+        ("/denoise", request.denoise),
     ] {
         if is_given {
             return Err(ApiError::invalid(field, only_own));

@@ -7,8 +7,8 @@ mod shot;
 
 use forelight_protocol::{
     AllottedStats, CacheFillResult, CacheFillSpec, CacheMergeResult, CachePlanResult, CachePlanSpec,
-    JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSpec, TaskResult, TaskSpec, VIDEO_BYTES,
-    VideoResult, VideoSpec,
+    Capabilities, DenoisedStats, JobSettings, PreviewResult, PreviewSpec, RenderResult, RenderSpec,
+    TaskResult, TaskSpec, VIDEO_BYTES, VideoResult, VideoSpec,
 };
 
 use self::fields::{
@@ -159,6 +159,46 @@ fn samples_where_they_pay(spec: &RenderSpec, allotted: &AllottedStats) -> ApiRes
     }
 }
 
+/// What is said of removing the noise of an image of so many pixels.
+fn denoised(pointer: &str, spec: &RenderSpec, stats: Option<&DenoisedStats>, pixels: u64) -> ApiResult<()> {
+    let stats = match (spec.denoise, stats) {
+        (false, None) => return Ok(()),
+        (false, Some(_)) => return wrong(pointer, "the task leaves the noise in its image"),
+        (true, None) => {
+            return wrong(
+                pointer,
+                "the task removes the noise of its image: say how, and what is left of it",
+            );
+        }
+        (true, Some(stats)) => stats,
+    };
+    if !(1..=Capabilities::LONGEST_VERSION).contains(&stats.by.chars().count()) {
+        return wrong(format!("{pointer}/by"), "the denoiser and its version: 1 to 50 characters");
+    }
+    image_error(&format!("{pointer}/error"), stats.error)?;
+    image_error(&format!("{pointer}/noisy"), stats.noisy)?;
+    if stats.measured_pixels > pixels {
+        let reason = format!("{} pixels; the image has {pixels}", stats.measured_pixels);
+        return wrong(format!("{pointer}/measured_pixels"), reason);
+    }
+    seconds(
+        pointer,
+        [
+            ("denoiser_cpu_seconds", stats.denoiser_cpu_seconds),
+            ("features_cpu_seconds", stats.features_cpu_seconds),
+            ("measuring_cpu_seconds", stats.measuring_cpu_seconds),
+        ],
+    )
+}
+
+/// Times in seconds, by name.
+fn seconds<const N: usize>(pointer: &str, times: [(&str, f64); N]) -> ApiResult<()> {
+    match times.iter().find(|(_, seconds)| !(0.0..=1e12).contains(seconds)) {
+        Some((name, _)) => wrong(format!("{pointer}/{name}"), "seconds are 0 to 1e12"),
+        None => Ok(()),
+    }
+}
+
 fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     const AT: &str = "/result/render/stats";
     let stats = &result.stats;
@@ -172,9 +212,7 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
     if spec.work.is_some() && stats.allotted.is_none() {
         return wrong(format!("{AT}/allotted"), "the task's camera samples differ by pixel: say how");
     }
-    if stats.denoised.is_some() {
-        return wrong(format!("{AT}/denoised"), "tasks leave the noise in their images");
-    }
+    denoised(&format!("{AT}/denoised"), spec, stats.denoised.as_ref(), pixels)?;
     stats.allotted.iter().try_for_each(|allotted| samples_where_they_pay(spec, allotted))?;
     let spp = stats.allotted.as_ref().map_or(samples, |allotted| allotted.mean.round() as u32);
     for (name, actual, expected) in
@@ -187,15 +225,14 @@ fn render(spec: &RenderSpec, result: &RenderResult) -> ApiResult<()> {
             );
         }
     }
-    for (name, seconds) in [
-        ("cpu_seconds", stats.cpu_seconds),
-        ("wall_seconds", stats.wall_seconds),
-        ("reused_cpu_seconds", stats.reused_cpu_seconds),
-    ] {
-        if !(0.0..=1e12).contains(&seconds) {
-            return wrong(format!("{AT}/{name}"), "seconds are 0 to 1e12");
-        }
-    }
+    seconds(
+        AT,
+        [
+            ("cpu_seconds", stats.cpu_seconds),
+            ("wall_seconds", stats.wall_seconds),
+            ("reused_cpu_seconds", stats.reused_cpu_seconds),
+        ],
+    )?;
     storable(AT, [stats.work, stats.reused_work, stats.rays.total()])?;
     if stats.work_by_ray.is_some_and(|by_ray| by_ray.total() > stats.work) {
         return wrong(format!("{AT}/work_by_ray"), "the sum is more than the frame's work");

@@ -56,6 +56,7 @@ pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiRes
         gpu: _,
         renderers,
         ffmpeg,
+        denoiser,
         calibration,
         version,
     } = &node.capabilities;
@@ -66,8 +67,10 @@ pub(super) fn check_registration(place: &str, node: &NodeRegistration) -> ApiRes
     for (name, text) in [("processor", processor), ("vulkan_adapter", vulkan_adapter)] {
         text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 200))?;
     }
-    for (name, text) in [("version", version), ("ffmpeg", ffmpeg)] {
-        text.as_ref().map_or(Ok(()), |text| check_name(&at(&format!("capabilities/{name}")), text, 50))?;
+    for (name, text) in [("version", version), ("ffmpeg", ffmpeg), ("denoiser", denoiser)] {
+        text.as_ref().map_or(Ok(()), |text| {
+            check_name(&at(&format!("capabilities/{name}")), text, Capabilities::LONGEST_VERSION)
+        })?;
     }
     if renderers.len() > MOST_RENDERERS {
         let reason = format!("{} renderers; a node has at most {MOST_RENDERERS}", renderers.len());

@@ -9,8 +9,9 @@ use super::{calibrate, foreign};
 use crate::caches;
 use crate::job_options::png_file;
 use crate::storage::stored;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use forelight_denoise::Denoiser;
 use forelight_forecast::{Correction, Corrections, LEAST_JOBS, Strategy};
 use forelight_protocol::words::counted;
 use forelight_protocol::{
@@ -45,6 +46,7 @@ Examples:
   forelight forecast kitchen/ --for-node rack-7.json
   forelight forecast kitchen/ --frames 0-47 --cache on --cache-sharing auto
   forelight forecast kitchen/ --frames 0-47 --cache-error 1
+  forelight forecast kitchen/ --frames 0-47 --spp 4 --denoise
 
 All frames are previewed. --samples pixels are profiled in each of five frames, or of more frames if the forecast is \
 still uncertain. Around a few of these pixels, blocks of neighbours are traced, to measure the time of pixels that lie \
@@ -103,6 +105,9 @@ pub struct Args {
     /// cache
     #[arg(long, conflicts_with = "cache_sharing")]
     explain: bool,
+    /// Forecast images whose noise is removed by Open Image Denoise, as by `forelight render --denoise`
+    #[arg(long)]
+    denoise: bool,
     /// Change a setting of another renderer, such as adaptive_sampling=false. May be repeated
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = own_setting())]
     own: Vec<OwnSetting>,
@@ -141,7 +146,10 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
     let frames = local.frames(args.frames.as_ref())?;
     let here = Asker { local: &local, bundle: &args.bundle, bars: &bars, interrupt };
     let settings = args.cache_error.settings(&args.quality, args.frames.as_ref(), &here)?;
+    let trial = || Denoiser::find().and_then(|denoiser| denoiser.try_out(None));
+    let trial = args.denoise.then(trial).transpose().context("--denoise")?;
     let options = QuoteOptions {
+        denoiser_nanos_per_pixel: trial.map(|trial| trial.nanos_per_pixel),
         samples: args.samples,
         profile_frames: args.profile_frames.map(|frames| frames as usize),
         seed: args.phase_seed,
@@ -190,6 +198,7 @@ fn forecast_foreign(args: &Args, interrupt: &Interrupt) -> Result<()> {
         ("--cache-sharing", args.cache_sharing != CacheSharing::Private),
         ("--cost-map-at", args.cost_map_at != cost_map::At::Mean),
         ("--cache-error", args.cache_error.is_given()),
+        ("--denoise", args.denoise),
     ])?;
     let asked = foreign::AskedForecast {
         scene: &args.bundle,
@@ -333,12 +342,13 @@ fn report(quote: &ForecastDoc) -> String {
 
 /// The costs of a frame that do not depend on its pixels, by part.
 fn fixed_costs(fixed: FixedCosts) -> String {
-    let FixedCosts { load, build, plan, write, .. } = fixed;
+    let FixedCosts { load, build, plan, write, denoise, .. } = fixed;
     let parts = [
         ("setting up", load),
         ("building the tree", build),
         ("planning the cache", plan),
         ("writing", write),
+        ("denoising", denoise),
     ];
     taken(&parts).map_or_else(String::new, |parts| format!("\nof that, in each frame: {parts}\n"))
 }

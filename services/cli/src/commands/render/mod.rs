@@ -90,7 +90,7 @@ pub struct Args {
     cache_file: Option<PathBuf>,
     /// Remove the noise of the image by Open Image Denoise, if it is installed, and measure the error that is
     /// left. An .exr file keeps the noisy image as noisy.R, G, B
-    #[arg(long, conflicts_with_all = ["within", "within_money", "error", "samples_from", "server"])]
+    #[arg(long, conflicts_with_all = ["within", "within_money", "error", "samples_from"])]
     denoise: bool,
     /// Code to trace with: only the effects that the frame needs, or all of them. The image has the same bits
     #[arg(long, value_name = "WHICH", default_value = "called-for")]
@@ -340,7 +340,7 @@ fn denoised(stats: &DenoisedStats) -> String {
     format!(
         "denoised    by {by}: error {:.2} % of the mean ({:.2} to {:.2} %) in place of {:.1} %\n            \
          measured at {measured_pixels} pixels by {measured_samples} other camera samples each\n            \
-         {} of CPU time for denoising, {} for measuring; in no frame's CPU time\n",
+         {} of CPU time for denoising, {} for measuring\n",
         percent(error.p50),
         percent(error.p05),
         percent(error.p95),

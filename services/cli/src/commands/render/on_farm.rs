@@ -162,6 +162,7 @@ async fn submit_frame(args: &Args, client: &Client, bars: &Bars, interrupt: &Int
         division: args.farm.parts,
         project: args.farm.project.clone(),
         settings,
+        denoise: args.denoise,
         within: args.allot.cpu_time(),
         error_target: args.allot.error_target(),
         samples: args.allot.samples(),

@@ -136,6 +136,10 @@ pub struct Args {
     /// {project}/{job}/{frame:04}.exr. Placeholders: {project}, {job}, {id}, {frame}, {frame:04}
     #[arg(long, value_name = "PATTERN")]
     output: Option<OutputPattern>,
+    /// Remove the noise of the images by Open Image Denoise, and measure the error that is left. Nodes need it.
+    /// An .exr file keeps the noisy image as noisy.R, G, B
+    #[arg(long, conflicts_with_all = ["limit", "error"])]
+    denoise: bool,
     /// Make a video of the frames when the last of them is finished. A node needs ffmpeg. With --out, it is
     /// written as video.mp4. The exit code does not depend on it
     #[arg(long)]
@@ -309,6 +313,7 @@ fn request(
         division: args.parts,
         output: args.output.clone(),
         video: args.video.then_some(VideoRequest { frames_per_second: args.fps }),
+        denoise: args.denoise,
         samples: args.samples,
         profile_frames: args.profile_frames,
         ladders: if args.ladders { Ladders::All } else { Ladders::Own },

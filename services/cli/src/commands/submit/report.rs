@@ -120,6 +120,10 @@ fn remark(row: &FrameRow) -> String {
             100.0 * error.p50
         ));
     }
+    if let Some(denoised) = row.actual.as_ref().and_then(|stats| stats.denoised.as_ref()) {
+        let [error, noisy] = [denoised.error, denoised.noisy].map(|error| 100.0 * error.p50);
+        remarks.push(format!("denoised: error {error:.2} % of the mean in place of {noisy:.2} %"));
+    }
     let cache = row.actual.as_ref().and_then(|stats| stats.cache);
     if let Some(cache) = cache.filter(|cache| cache.reused_records > 0) {
         remarks.push(format!("{} from profiling", counted(cache.reused_records, "cache record")));

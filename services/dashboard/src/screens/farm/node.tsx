@@ -104,6 +104,7 @@ function NodeFacts(props: { node: Node }) {
         {what?.processor && <Fact name="Processor">{clean(what.processor)}</Fact>}
         {what?.vulkan_adapter && <Fact name="Previews by">{clean(what.vulkan_adapter)}</Fact>}
         {what?.version && <Fact name="Version of its worker">{clean(what.version)}</Fact>}
+        {what?.denoiser && <Fact name="Noise removed by">{clean(what.denoiser)}</Fact>}
         {what?.ffmpeg && <Fact name="Videos by">ffmpeg {clean(what.ffmpeg)}</Fact>}
         {(what?.renderers?.length ?? 0) > 0 && (
           <Fact name="Renderers">

@@ -3,7 +3,7 @@
 import { get } from "../../api/client";
 import type { FrameRow, Job } from "../../api/types";
 import { setQuery } from "../../state/route";
-import { clean } from "../../ui/format";
+import { clean, significant } from "../../ui/format";
 import { glyphOf, Mark } from "../../ui/mark";
 import { Time, Trouble, Waiting } from "../../ui/parts";
 import { useResource } from "../../ui/resource";
@@ -94,9 +94,19 @@ function Facts(props: { of: FrameRow }) {
           <dd>{(frame.actual.peak_rss_bytes / 2 ** 20).toFixed(0)} MiB</dd>
         </div>
       )}
+      {frame.actual?.denoised && (
+        <div>
+          <dt>Error, denoised</dt>
+          <dd>
+            {noise(frame.actual.denoised.error)}, in place of {noise(frame.actual.denoised.noisy)}
+          </dd>
+        </div>
+      )}
     </dl>
   );
 }
+
+const noise = (error: { p50: number }) => `${significant(error.p50 * 100, 2)} %`;
 
 function FrameTab(props: { tab: string; frame: number; word: string }) {
   return (

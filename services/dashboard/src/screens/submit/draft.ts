@@ -22,6 +22,8 @@ export interface Draft {
   budget: string;
   priority: string;
   ladders: boolean;
+  /** Whether the noise of the images is removed. */
+  denoise: boolean;
   /** Whether a video is made of the frames. */
   video: boolean;
   /** Name of another renderer, and its version if one is wanted: `cycles 5.0`. Empty for our own. */
@@ -51,6 +53,7 @@ export function draftFor(bundle: Bundle): Draft {
     budget: "",
     priority: "",
     ladders: false,
+    denoise: false,
     video: false,
     // Only Blender files are uploaded of all scenes that our own renderer cannot open.
     renderer: scene.frames === 0 ? "cycles" : "",
@@ -81,6 +84,7 @@ export function draftOf(job: Job): Draft {
     budget: job.budget == null ? "" : String(job.budget / 1e6),
     priority: job.priority ? String(job.priority) : "",
     ladders: job.ladders === "all",
+    denoise: job.denoise ?? false,
     video: job.video != null,
     renderer: job.renderer ? [job.renderer.name, job.renderer.version ?? ""].join(" ").trim() : "",
     base: requestThatRepeats(job),
@@ -141,7 +145,7 @@ export function requestOf(
   const deadline = draft.deadline === "" ? null : timestampOf(draft.deadline);
   if (draft.deadline !== "" && deadline === null) wrong.deadline = NOT_A_TIME;
   const first: Partial<JobRequest> & Pick<JobRequest, "weight" | "samples"> = { weight: 1, samples: 256 };
-  const { renderer: _, video, error_target, within, cache, ...kept } = base ?? first;
+  const { renderer: _, video, denoise: __, error_target, within, cache, ...kept } = base ?? first;
   const request: JobRequest = {
     ...kept,
     name: draft.name.trim(),
@@ -153,11 +157,13 @@ export function requestOf(
     confidence: draft.confidence,
     budget,
     priority,
-    // A noise sets the samples: no limit does, frames make their own caches, and no samples are compared.
+    // A noise sets the samples: no limit does, frames make their own caches, no samples are compared, and the
+    // noise stays.
     ladders: draft.ladders && !(error > 0) ? "all" : "own",
     ...(within && !(error > 0) ? { within } : {}),
     ...(cache && !(error > 0) ? { cache } : {}),
     ...(error > 0 ? { error_target: { ...(error_target ?? {}), ppm: Math.round(error * 1e4) } } : {}),
+    ...(draft.denoise && !renderer && !within && !(error > 0) ? { denoise: true } : {}),
     ...(draft.video ? { video: video ?? {} } : {}),
     ...(renderer ? { renderer: { name: renderer, ...(version ? { version } : {}) } } : {}),
     hold: true,
@@ -179,6 +185,7 @@ export function fieldOf(pointer: string | null): keyof Draft | null {
     "/settings/ambient_bounces": "bounces",
     "/settings/integrator": "integrator",
     "/settings/cache": "cache",
+    "/denoise": "denoise",
     "/video": "video",
     "/deadline": "deadline",
     "/budget": "budget",

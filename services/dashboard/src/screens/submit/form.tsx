@@ -121,6 +121,8 @@ function Text(
 /** What only our own renderer is asked for. */
 function OwnQuality(props: Asked) {
   const { draft, wrong, change } = props;
+  /** Whether an error or a limit chooses the samples. */
+  const chosen = draft.error.trim() !== "" || draft.base?.within != null;
   return (
     <>
       <div class="columns">
@@ -183,6 +185,21 @@ function OwnQuality(props: Asked) {
         Price other qualities too
         <span class="hint"> (profiles one frame with other settings as well)</span>
       </label>
+      <label>
+        <input
+          type="checkbox"
+          checked={draft.denoise && !chosen}
+          disabled={chosen}
+          onChange={(event) => change({ denoise: event.currentTarget.checked })}
+        />{" "}
+        Remove the noise
+        <span class="hint"> (by nodes with Open Image Denoise; the error that is left is measured)</span>
+      </label>
+      {wrong.denoise && (
+        <p class="wrong-text" role="alert">
+          {wrong.denoise}
+        </p>
+      )}
     </>
   );
 }

@@ -65,6 +65,7 @@ function settingsWords(job: Job): string {
   const samples = settings["spp"] ?? settings["samples"];
   if (job.error_target) parts.push(`noise at most ${job.error_target.ppm / 1e4} %`);
   else if (samples) parts.push(`${samples} samples per pixel`);
+  if (job.denoise) parts.push("noise removed");
   return parts.join(", ") || "settings of the scene";
 }
 

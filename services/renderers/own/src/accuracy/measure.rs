@@ -6,13 +6,14 @@
 use crate::accuracy::observer::AccuracyObserver;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::render::denoised::{remove_noise, traced_colors};
+use crate::render::denoised::{remove_noise, traced_colors, with_folder};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use forelight_denoise::Denoiser;
 use forelight_protocol::{
     AccuracyDoc, CacheMode, DenoisedRung, MeasuredRung, RenderSettings, RenderSettingsRequest,
 };
+use forelight_renderer::door::Run;
 use forelight_tracer::Image;
 
 /// How rungs are measured.
@@ -114,7 +115,8 @@ fn measured(
     let denoised = match options.denoiser {
         None => None,
         Some(denoiser) => {
-            let cost = remove_noise(&ready, &mut image, denoiser, &|_| (), observer.cancel())?;
+            let remove = |run: &Run<'_>| remove_noise(&ready, &mut image, denoiser, run);
+            let cost = with_folder(observer.cancel(), remove)?;
             let cpu_seconds = cost.map(|cost| cost.denoiser + cost.features).ok_or(ShotError::Cancelled)?;
             image.denoised.map(|denoised| {
                 let (error, error_deviation) = converged.error_of(&denoised.colors);

@@ -16,9 +16,10 @@ use crate::profile::noise::{FrameNoise, Zones};
 use crate::profile::strata::forecast_strata;
 use crate::profile::work_classes::of_frame;
 use crate::quote_options::QuoteOptions;
+use crate::render::denoised::forecast_nanos;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::PixelNoise;
-use forelight_forecast::{Expansion, Observation, Pick};
+use forelight_forecast::{Cost, Expansion, Observation, Pick};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::{
     ByClass, FixedCosts, LeftOut, PlanCount, PreviewBackend, ProcessCosts, RenderSettings, Spent,
@@ -123,7 +124,7 @@ pub struct ProfiledFrame {
     pub effects: Vec<String>,
     /// Lights and objects that cannot matter to the image.
     pub left_out: Vec<LeftOut>,
-    /// Cost of setting the frame up this time.
+    /// Cost of setting the frame up this time, and of what denoising it would take.
     pub setup: Spent,
     /// Estimated work of the whole frame, by class.
     pub work_by_class: Option<ByClass>,
@@ -292,22 +293,32 @@ pub(crate) fn profile_ready(
     let pixels = traced.pixels.iter().fold(Spent::default(), |sum, (_, pixel)| {
         sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
     });
+    let mut fixed = ready.fixed();
+    let mut setup = ready.spent_on_setup();
+    if let Some(nanos_per_pixel) = options.denoiser_nanos_per_pixel {
+        let observed: Vec<u32> = traced.pixels.iter().map(|(pixel, _)| *pixel).collect();
+        let nanos = of_all_pixels(design.counts(), &traced.observations, |cost| cost.cpu_nanos);
+        let forecast = forecast_nanos(ready, &observed, nanos, nanos_per_pixel, &stop);
+        let (cpu_nanos, asking) = forecast.ok_or(ShotError::Cancelled)?;
+        fixed.denoise = Spent { work: 0, cpu_nanos };
+        setup.cpu_nanos += asking;
+    }
     let profiled = ProfiledFrame {
         frame,
         work_by_class: of_frame(
             ready,
-            work_of_pixels(design.counts(), &traced.observations),
+            of_all_pixels(design.counts(), &traced.observations, |cost| cost.work),
             work_of_records(&ready.cache_records(), &records),
         ),
         observations: traced.observations,
         shown: traced.shown,
         expansion: design.expansion().clone(),
         records,
-        fixed: ready.fixed(),
+        fixed,
         once: ready.once(),
         effects: ready.effects(),
         left_out: ready.left_out(),
-        setup: ready.spent_on_setup(),
+        setup,
         preview: seen.spent,
         pixels,
         noise,
@@ -319,17 +330,17 @@ pub(crate) fn profile_ready(
     Ok((profiled, seen))
 }
 
-/// Rough work of all pixels, at the mean of the profiled pixels of each stratum, or of all.
-fn work_of_pixels(counts: &[u32], observations: &[Observation]) -> f64 {
+/// Rough cost of all pixels, at the mean of the profiled pixels of each stratum, or of all.
+fn of_all_pixels(counts: &[u32], observations: &[Observation], of: fn(Cost) -> u64) -> f64 {
     let mut seen = vec![(0u64, 0u64); counts.len()];
     for observation in observations {
-        let (number, work) = &mut seen[observation.stratum as usize];
-        (*number, *work) = (*number + 1, *work + observation.cost.work);
+        let (number, cost) = &mut seen[observation.stratum as usize];
+        (*number, *cost) = (*number + 1, *cost + of(observation.cost));
     }
-    let (all, work) = seen.iter().fold((0, 0), |sum, each| (sum.0 + each.0, sum.1 + each.1));
-    let mean = |(number, work): (u64, u64)| work as f64 / number.max(1) as f64;
+    let (all, cost) = seen.iter().fold((0, 0), |sum, each| (sum.0 + each.0, sum.1 + each.1));
+    let mean = |(number, cost): (u64, u64)| cost as f64 / number.max(1) as f64;
     let strata = counts.iter().zip(seen);
-    strata.map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, work)) }).sum()
+    strata.map(|(&count, own)| f64::from(count) * if own.0 > 0 { mean(own) } else { mean((all, cost)) }).sum()
 }
 
 /// The same for records, by level.

@@ -9,13 +9,14 @@ use crate::answers::{Progress, Step};
 use crate::costs::seconds;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
+use crate::render::Rendered;
 use forelight_denoise::{Denoiser, Layers};
 use forelight_forecast::PixelCurve;
 use forelight_protocol::{DenoisedStats, ImageError};
 use forelight_random::Random;
 use forelight_renderer::door::{Limits, RendererError, Run};
 use forelight_tracer::{DenoisedColors, Image, Pixel};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Camera samples by which features are averaged: enough for smooth edges.
 const MOST_FEATURE_SAMPLES: u32 = 16;
@@ -43,54 +44,116 @@ pub(crate) struct DenoisingCost {
     pub features: f64,
 }
 
-/// Removes the noise of an image. `None` if `cancel` was set.
+/// Lets `work` run a program in a folder of its own, on all threads of the current pool.
+pub(crate) fn with_folder<T>(
+    cancel: &AtomicBool,
+    work: impl FnOnce(&Run<'_>) -> Result<T, RenderError>,
+) -> Result<T, RenderError> {
+    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
+    work(&Run::silent(cancel, folder.path(), Limits { threads: threads(), ..Limits::default() }))
+}
+
+fn threads() -> u32 {
+    u32::try_from(rayon::current_num_threads()).unwrap_or(1)
+}
+
+/// Removes the noise of a finished frame, measures the error that is left, and adds what that took to its cost.
+/// Any cache must be filled. `None` if the run was cancelled.
+pub(crate) fn denoise(
+    ready: &OwnFrame<'_>,
+    rendered: &mut Rendered,
+    denoiser: &Denoiser,
+    run: &Run<'_>,
+    progress: &(dyn Fn(Progress) + Sync),
+) -> Result<Option<()>, RenderError> {
+    progress(Progress { step: Step::Denoising, done: 0, all: 1 });
+    let Some(cost) = remove_noise(ready, &mut rendered.image, denoiser, run)? else { return Ok(None) };
+    let Some(stats) = measured(ready, &rendered.image, cost, run) else { return Ok(None) };
+    rendered.stats.cpu_seconds += stats.cpu_seconds();
+    rendered.stats.denoised = Some(stats);
+    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
+    Ok(Some(()))
+}
+
+/// Whether to stop. Stands still while the run is paused.
+fn stops(run: &Run<'_>) -> bool {
+    run.pause.inspect(|pause| pause.wait());
+    run.is_cancelled()
+}
+
+/// Removes the noise of an image. `None` if the run was cancelled.
 pub(crate) fn remove_noise(
     ready: &OwnFrame<'_>,
     image: &mut Image,
     denoiser: &Denoiser,
-    progress: &(dyn Fn(Progress) + Sync),
-    cancel: &AtomicBool,
+    run: &Run<'_>,
 ) -> Result<Option<DenoisingCost>, RenderError> {
-    progress(Progress { step: Step::Denoising, done: 0, all: 1 });
-    let stop = || cancel.load(Ordering::Relaxed);
-    let samples = ready.tracer.settings().spp.min(MOST_FEATURE_SAMPLES);
-    let Some((features, tracing)) = ready.tracer.features(samples, &stop) else { return Ok(None) };
+    let samples = feature_samples(ready.tracer.settings().spp);
+    let Some((features, tracing)) = ready.tracer.features(samples, &|| stops(run)) else { return Ok(None) };
     let color = traced_colors(image);
     let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
     let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
-    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
-    let threads = u32::try_from(rayon::current_num_threads()).unwrap_or(1);
-    let limits = Limits { threads, ..Limits::default() };
-    let run = Run::silent(cancel, folder.path(), limits);
     let layers =
         Layers { size: (image.width, image.height), color: &color, albedo: &albedo, normal: &normal };
-    let made = match denoiser.denoise(&layers, &run) {
-        Err(_) if stop() => return Ok(None),
+    // What it says of its progress is no news in a log.
+    let made = match denoiser.denoise(&layers, &Run { log: &|_| (), progress: &|_| (), ..*run }) {
+        Err(_) if run.is_cancelled() => return Ok(None),
         made => made?,
     };
     image.denoised = Some(DenoisedColors { by: made.by, colors: made.color, features });
-    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
     Ok(Some(DenoisingCost { denoiser: seconds(made.usage.cpu_nanos), features: seconds(tracing) }))
 }
 
-/// Measures the error of a denoised image, whose noise was removed at this cost. `None` if `cancel` was set, or
-/// the image is not denoised.
-pub(super) fn measured(
+/// Camera samples of each pixel's features in an image of `spp`.
+fn feature_samples(spp: u32) -> u32 {
+    spp.min(MOST_FEATURE_SAMPLES)
+}
+
+/// How many pixels of an image are measured, and by how many camera samples for each mean.
+fn measuring(pixels: usize, spp: u32) -> (u32, u32) {
+    let of_mean = (MULTIPLE * spp).clamp(SAMPLES_OF_MEAN.0, SAMPLES_OF_MEAN.1);
+    let wanted = SHARE_OF_MEASURING * pixels as f64 * f64::from(spp) / f64::from(MEANS * of_mean);
+    (wanted.clamp(MEASURED.0, MEASURED.1) as u32, of_mean)
+}
+
+/// Camera samples by which an image is measured, as a share of its own.
+fn share_of_measuring(pixels: usize, spp: u32) -> f64 {
+    let (measured, of_mean) = measuring(pixels, spp);
+    f64::from(measured).min(pixels as f64) * f64::from(MEANS * of_mean) / (pixels as f64 * f64::from(spp))
+}
+
+/// Forecast of what [`denoise`] adds to a frame, from some of its pixels, and the CPU time of asking, both in
+/// nanoseconds. Measuring takes what as many camera samples of the image take, on average. `None` if `stop`
+/// returned `true`.
+pub(crate) fn forecast_nanos(
+    ready: &OwnFrame<'_>,
+    some: &[u32],
+    nanos_of_all_pixels: f64,
+    denoiser_nanos_per_pixel: u64,
+    stop: &(dyn Fn() -> bool + Sync),
+) -> Option<(u64, u64)> {
+    let (pixels, spp) = (ready.frame().camera.pixels(), ready.tracer.settings().spp);
+    let (_, asking) = ready.tracer.features_of(some, feature_samples(spp), stop)?;
+    let features = asking as f64 * pixels as f64 / some.len().max(1) as f64;
+    let denoiser = denoiser_nanos_per_pixel as f64 * pixels as f64;
+    // The conversion saturates.
+    Some(((denoiser + features + share_of_measuring(pixels, spp) * nanos_of_all_pixels) as u64, asking))
+}
+
+/// Measures the error of a denoised image, whose noise was removed at this cost. `None` if the run was
+/// cancelled, or the image is not denoised.
+fn measured(
     ready: &OwnFrame<'_>,
     image: &Image,
     cost: DenoisingCost,
-    cancel: &AtomicBool,
+    run: &Run<'_>,
 ) -> Option<DenoisedStats> {
     let denoised = image.denoised.as_ref()?;
-    let stop = || cancel.load(Ordering::Relaxed);
-    let (color, samples) = (traced_colors(image), ready.tracer.settings().spp);
-    let of_mean = (MULTIPLE * samples).clamp(SAMPLES_OF_MEAN.0, SAMPLES_OF_MEAN.1);
-    let others = f64::from(MEANS * of_mean);
-    let wanted = SHARE_OF_MEASURING * color.len() as f64 * f64::from(samples) / others;
-    let count = wanted.clamp(MEASURED.0, MEASURED.1) as u32;
+    let color = traced_colors(image);
+    let (count, of_mean) = measuring(color.len(), ready.tracer.settings().spp);
     let places = places(&ready.curve(), [&color, &denoised.colors], count, ready.tracer.settings().seed);
     let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
-    let (means, measuring) = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &stop)?;
+    let (means, measuring) = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &|| stops(run))?;
     let mean = color.iter().flatten().map(|&value| f64::from(value)).sum::<f64>() / (3 * color.len()) as f64;
     let error = |colors: &[[f32; 3]]| image_error(&squares(colors, &places, &means), mean);
     Some(DenoisedStats {
@@ -262,6 +325,27 @@ mod tests {
         let sum = |of: fn(&(f64, f64)) -> f64| compared.iter().map(of).sum::<f64>();
         let ratio = (sum(|pair| pair.1) / sum(|pair| pair.0)).sqrt();
         assert!((0.85..1.15).contains(&ratio), "measured over true: {ratio}");
+    }
+
+    /// In work, which is the same in every run.
+    #[test]
+    fn measuring_takes_what_is_forecast() {
+        let (shot, never) = (kitchen(), AtomicBool::new(false));
+        for samples in [4, 16] {
+            let settings = direct_light(samples, 1);
+            let made = render_frame(&shot, 0, &settings, Given::default(), &|_| (), &never);
+            let image = made.unwrap().unwrap().image;
+            let ready = shot.frame(0, &settings).unwrap();
+            let colors = traced_colors(&image);
+            let (count, of_mean) = measuring(colors.len(), samples);
+            let places = places(&ready.curve(), [&colors, &blurred(&colors)], count, 1);
+            let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
+            let (_, cost) = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &|| false).unwrap();
+            let expected = share_of_measuring(colors.len(), samples) * image.totals().work as f64;
+            let ratio = expected / cost.work as f64;
+            println!("{samples} samples: {ratio}");
+            assert!((0.8..1.25).contains(&ratio), "{samples} samples: {ratio}");
+        }
     }
 
     #[test]

@@ -11,6 +11,7 @@ use crate::profile::work_classes::of_frame;
 use crate::shot::OwnShot;
 use forelight_denoise::Denoiser;
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
+use forelight_renderer::door::Run;
 use forelight_scene::Frame;
 use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
 use std::sync::atomic::AtomicBool;
@@ -42,8 +43,8 @@ pub struct Given<'a> {
 ///
 /// Its cost is the cost that forecasts predict: pixels, set-up, its own irradiance cache and, if something
 /// moves in the shot, its acceleration structure, even if some of it was computed before. It excludes what a
-/// process pays once (loading, a structure that all frames share) and the shared cache. Removing its noise has its own
-/// cost: [`forelight_protocol::DenoisedStats`].
+/// process pays once (loading, a structure that all frames share) and the shared cache. Removing its noise is part of
+/// it, and also told apart: [`forelight_protocol::DenoisedStats`].
 pub fn render_frame(
     shot: &OwnShot,
     frame: u32,
@@ -57,13 +58,11 @@ pub fn render_frame(
     given.cache.map_or(Ok(()), |cache| ready.share(cache).map(drop))?;
     let rendered = render_ready(&ready, settings, given.profile, progress, &|_| (), cancel)?;
     let Some(mut rendered) = rendered else { return Ok(None) };
-    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
     if let Some(denoiser) = given.denoiser {
-        let cost = denoised::remove_noise(&ready, &mut rendered.image, denoiser, progress, cancel)?;
-        let measured = cost.and_then(|cost| denoised::measured(&ready, &rendered.image, cost, cancel));
-        let Some(measured) = measured else { return Ok(None) };
-        rendered.stats.denoised = Some(measured);
+        let denoise = |run: &Run<'_>| denoised::denoise(&ready, &mut rendered, denoiser, run, progress);
+        let Some(()) = denoised::with_folder(cancel, denoise)? else { return Ok(None) };
     }
+    rendered.stats.wall_seconds = start.elapsed().as_secs_f64();
     Ok(Some(rendered))
 }
 

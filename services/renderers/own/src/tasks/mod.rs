@@ -28,11 +28,13 @@ use crate::render::pictures::{encoding_cost, png, write_cost};
 use crate::results::{preview_result, profile_result};
 use crate::shared_cache::profile_shared;
 use crate::shot::OwnShot;
+use forelight_denoise::Denoiser;
 use forelight_protocol::{
     AccuracyDoc, LadderKind, LogLevel, PreviewSpec, ProfileArtifacts, ProfileSpec, Spent, SpentOnForecast,
     TaskResult, TaskSpec,
 };
 use forelight_quote::{is_own, without_ladders};
+use forelight_renderer::process::Sandbox;
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome};
 use std::cell::Cell;
 use std::sync::Arc;
@@ -41,13 +43,37 @@ use std::sync::Arc;
 pub struct TaskRunner {
     renderer: OwnRenderer,
     shots: OpenShots<OwnShot>,
+    denoising: Option<Denoising>,
 }
 
 impl TaskRunner {
-    /// A runner that opens bundles with `renderer`.
+    /// A runner that opens bundles with `renderer`, and cannot remove noise.
     pub fn new(renderer: OwnRenderer) -> Self {
-        Self { renderer, shots: OpenShots::default() }
+        Self { renderer, shots: OpenShots::default(), denoising: None }
     }
+
+    /// With what removes noise on this machine, if anything does.
+    #[must_use]
+    pub fn with_denoising(self, denoising: Option<Denoising>) -> Self {
+        Self { denoising, ..self }
+    }
+
+    /// What removes the noise of a task's image.
+    fn denoising(&self) -> Result<&Denoising, ExecuteError> {
+        let missing = "this worker has no Open Image Denoise; install it, and start the worker again";
+        self.denoising.as_ref().ok_or_else(|| ExecuteError::Transient(missing.to_owned()))
+    }
+}
+
+/// What removes noise on this machine.
+#[derive(Debug)]
+pub struct Denoising {
+    /// The program.
+    pub denoiser: Denoiser,
+    /// CPU time that it takes for a pixel, nanoseconds.
+    pub nanos_per_pixel: u64,
+    /// In which it runs. `None`: with the rights of this process.
+    pub sandbox: Option<Arc<Sandbox>>,
 }
 
 impl Execute for TaskRunner {
@@ -76,13 +102,19 @@ impl Execute for TaskRunner {
         );
         match &assignment.spec {
             TaskSpec::Preview(spec) => preview(shot, spec, control),
-            TaskSpec::Profile(spec) => profile(shot, spec, assignment, control),
+            TaskSpec::Profile(spec) => {
+                let denoising = spec.denoise.then(|| self.denoising()).transpose()?;
+                profile(shot, spec, denoising, assignment, control)
+            }
             TaskSpec::CachePlan(spec) => cache::plan(shot, spec, control),
             TaskSpec::CacheFill(spec) => cache::fill(shot, spec, assignment, control),
             TaskSpec::CacheMerge(spec) => cache::merge(spec, assignment, control),
             TaskSpec::Divide(spec) => divide::divide(shot, spec, loading.get(), assignment, control),
             TaskSpec::RenderPart(spec) => part::render_part(shot, spec, loading.get(), assignment, control),
-            TaskSpec::Render(spec) => render(shot, spec, assignment, control),
+            TaskSpec::Render(spec) => {
+                let denoising = spec.denoise.then(|| self.denoising()).transpose()?;
+                render(shot, spec, denoising, assignment, control)
+            }
             TaskSpec::Video(_) => Err(no_scene()),
         }
     }
@@ -99,11 +131,17 @@ fn preview(shot: &OwnShot, spec: &PreviewSpec, control: &Control) -> Result<Outc
 fn profile(
     shot: &OwnShot,
     spec: &ProfileSpec,
+    denoising: Option<&Denoising>,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
     let settings = own(&spec.settings)?;
-    let options = QuoteOptions { samples: spec.samples, seed: spec.phase_seed, ..QuoteOptions::default() };
+    let options = QuoteOptions {
+        samples: spec.samples,
+        seed: spec.phase_seed,
+        denoiser_nanos_per_pixel: denoising.map(|denoising| denoising.nanos_per_pixel),
+        ..QuoteOptions::default()
+    };
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
     let ready = shot.frame(spec.frame, settings)?;
     // The noise of an image shows in its final colours.

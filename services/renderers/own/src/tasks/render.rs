@@ -4,19 +4,22 @@ use crate::adaptive::made::Made;
 use crate::adaptive::passes::{PassPlan, render_in_passes};
 use crate::answers::Progress;
 use crate::costs::seconds;
+use crate::error::RenderError;
 use crate::frame::OwnFrame;
+use crate::render::denoised::denoise;
 use crate::render::pictures::{encode, write_cost};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
+use crate::tasks::Denoising;
 use crate::tasks::checkpoint::Checkpoints;
 use crate::tasks::given::{self, own, usable};
 use crate::tasks::progress::{count, fraction};
 use crate::tasks::whole::{passes_put_together, put_together};
 use forelight_protocol::{
-    CacheMode, FinishedPixels, LogLevel, Passes, RenderArtifacts, RenderResult, RenderSettings, RenderSpec,
-    TaskResult,
+    CacheMode, DenoisedStats, FinishedPixels, ImageError, LogLevel, Passes, RenderArtifacts, RenderResult,
+    RenderSettings, RenderSpec, TaskResult,
 };
-use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome};
+use forelight_renderer::{Assignment, Control, ExecuteError, Files, Outcome, failure, with_run};
 use forelight_tracer::{Pixel, Profile, Totals};
 use std::cell::Cell;
 use std::sync::Once;
@@ -25,6 +28,7 @@ use std::time::Instant;
 pub(crate) fn render(
     shot: &OwnShot,
     spec: &RenderSpec,
+    denoising: Option<&Denoising>,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
@@ -56,6 +60,9 @@ pub(crate) fn render(
             made.rendered(ready, settings, None, start.elapsed().as_secs_f64()).rendered
         }
     };
+    if let Some(denoising) = denoising {
+        remove_noise(ready, &mut rendered, denoising, assignment, control)?;
+    }
     let seen = ready.preview()?;
     let picture = forelight_preview::picture(&seen.preview, &rendered.frame);
     let (pictures, encoding) = encode(&rendered.image, &rendered.frame, &picture)?;
@@ -79,6 +86,35 @@ pub(crate) fn render(
     };
     let result = RenderResult { stats: rendered.stats, artifacts };
     Ok(Outcome { result: TaskResult::Render(result), artifacts: files.contents })
+}
+
+/// Removes the noise of a finished frame, and measures what is left.
+fn remove_noise(
+    ready: &OwnFrame<'_>,
+    rendered: &mut Rendered,
+    denoising: &Denoising,
+    assignment: &Assignment,
+    control: &Control,
+) -> Result<(), ExecuteError> {
+    // A frame that is put together may have needed no cache. Its pixels do when they are traced again.
+    if !ready.has_final_colours() && !ready.fill(&|_| (), control.cancelled()) {
+        return Err(ExecuteError::Cancelled);
+    }
+    with_run(assignment, control, denoising.sandbox.as_deref(), |run| {
+        let done = denoise(ready, rendered, &denoising.denoiser, run, &|_| ());
+        done.map_err(|error| match error {
+            RenderError::Denoiser(error) => failure(error, assignment),
+            other => other.into(),
+        })?
+        .ok_or(ExecuteError::Cancelled)
+    })?;
+    if let Some(DenoisedStats { by, error, noisy, .. }) = &rendered.stats.denoised {
+        let percent = |error: &ImageError| 100.0 * error.p50;
+        let (error, noisy) = (percent(error), percent(noisy));
+        let text = format!("denoised by {by}: error {error:.2} % of the mean in place of {noisy:.2} %");
+        control.log(LogLevel::Info, text);
+    }
+    Ok(())
 }
 
 /// Renders with the camera samples of the settings, taking over profiled pixels or a checkpoint.

@@ -88,6 +88,7 @@ impl Farm {
         let spec = ProfileSpec {
             ladders: false,
             error_target: self.error_target,
+            denoise: false,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest,
@@ -175,6 +176,7 @@ impl Farm {
             renderer: None,
             work: self.work,
             error_target: self.error_target,
+            denoise: false,
             profile: Self::named(self.profile.as_ref()),
             cache: Self::named(self.shared.as_ref()),
             frame_cache: Self::named(own),

@@ -93,7 +93,8 @@ fn every_strategy_quotes_a_shot_and_from_all_pixels_exactly() {
     let rig = Rig::new();
     let shot = OwnRenderer::new(Choice::Cpu).open(&rig.bundle()).unwrap();
     let work = |strategy: Strategy, samples: u32| {
-        let options = QuoteOptions { samples, profile_frames: Some(2), seed: 3, strategy, corrections: None };
+        let options =
+            QuoteOptions { samples, profile_frames: Some(2), seed: 3, strategy, ..QuoteOptions::default() };
         let quoted = quote(&shot, &[0, 1, 2], &rig.settings, &options, &Nobody).unwrap();
         assert!(quoted.document.profiled.pixels <= 2 * u64::from(samples), "{strategy:?}");
         quoted.document

@@ -128,6 +128,7 @@ impl Rig {
     pub fn profile_spec(&self, frame: u32) -> TaskSpec {
         TaskSpec::Profile(ProfileSpec {
             error_target: None,
+            denoise: false,
             ladders: false,
             job_id: JobId::new(),
             bundle: self.source(),
@@ -144,6 +145,7 @@ impl Rig {
     pub fn render_spec(&self, frame: u32) -> TaskSpec {
         TaskSpec::Render(RenderSpec {
             error_target: None,
+            denoise: false,
             job_id: JobId::new(),
             bundle: self.source(),
             digest: self.digest(),

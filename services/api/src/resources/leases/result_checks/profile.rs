@@ -28,9 +28,13 @@ pub(super) fn check(spec: &ProfileSpec, settings: &RenderSettings, result: &Prof
         return wrong(format!("{AT}/file_bytes"), "the files of a frame have at most 2⁴⁰ bytes");
     }
     let fixed = &result.fixed;
-    for (name, cost) in
-        [("load", fixed.load), ("build", fixed.build), ("plan", fixed.plan), ("write", fixed.write)]
-    {
+    for (name, cost) in [
+        ("load", fixed.load),
+        ("build", fixed.build),
+        ("plan", fixed.plan),
+        ("write", fixed.write),
+        ("denoise", fixed.denoise),
+    ] {
         spent(&format!("{AT}/fixed/{name}"), cost)?;
     }
     once(&format!("{AT}/once"), result.once)?;

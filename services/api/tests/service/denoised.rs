@@ -1,0 +1,97 @@
+//! Jobs whose images have their noise removed.
+
+use crate::support::made_up::{DENOISING, made_up_denoised};
+use crate::support::{Answer, Farm};
+use forelight_protocol::{
+    DenoisedStats, FrameRow, Job, JobState, Node, ProblemKind, RenderStats, TaskKind, TaskResult, TaskSpec,
+};
+use reqwest::StatusCode;
+use serde_json::{Value, json};
+
+fn request(farm: &Farm, frames: &str) -> Value {
+    let mut request = farm.job_request(frames);
+    request["denoise"] = json!(true);
+    request
+}
+
+async fn submit(farm: &Farm, frames: &str) -> Job {
+    farm.submitter.post("/v1/jobs", &request(farm, frames)).await.parsed(StatusCode::CREATED).await
+}
+
+/// A node with our own renderer, and with or without a denoiser.
+async fn node(farm: &Farm, name: &str, denoiser: Option<&str>) -> Node {
+    let renderers = json!([{"name": "forelight", "version": "tracer-9"}]);
+    let mut capabilities = json!({"renderers": renderers});
+    denoiser.inspect(|denoiser| capabilities["denoiser"] = json!(denoiser));
+    let node = json!({"name": name, "speed": 1.0, "cores": 1, "capabilities": capabilities});
+    farm.worker.post("/v1/nodes", &node).await.parsed(StatusCode::CREATED).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_nodes_with_a_denoiser_profile_and_render_the_job() {
+    let farm = Farm::new().await;
+    let plain = node(&farm, "plain", None).await;
+    let job = submit(&farm, "0-1").await;
+    assert!(job.denoise);
+    // Everybody can preview it. Then it waits, and says for what.
+    let preview = farm.next(&plain, TaskKind::Preview).await;
+    farm.finish(&preview).await;
+    let waiting = farm.until(&job, "wait for a denoiser", |job| job.waits.is_some()).await;
+    let because = waiting.waits.unwrap().because;
+    assert!(because.contains("no node has forelight tracer-9 with Open Image Denoise"), "{because}");
+    assert!(farm.claim(&plain).await.is_none());
+
+    let clean = node(&farm, "clean", Some("Open Image Denoise 2.5.1")).await;
+    let lease = farm.next(&clean, TaskKind::Profile).await;
+    let TaskSpec::Profile(spec) = &lease.spec else { panic!() };
+    assert!(spec.denoise);
+    farm.finish(&lease).await;
+    let booked = farm.until_booked(&clean, &job).await;
+    assert_eq!(booked.state, JobState::Booked);
+    // What removing the noise takes is part of the price, on the one node that can.
+    let quote = farm.quote(&job).await;
+    let seconds = DENOISING as f64 * 1e-9;
+    assert!(quote.frames.iter().all(|frame| frame.cpu_seconds.p50 > seconds), "{:?}", quote.total);
+    assert!(farm.claim(&plain).await.is_none());
+    let lease = farm.next(&clean, TaskKind::Render).await;
+    let TaskSpec::Render(spec) = &lease.spec else { panic!() };
+    assert!(spec.denoise);
+
+    // The result says how, and what is left.
+    let TaskResult::Render(made) = farm.made_up_result(&lease).await else { panic!() };
+    let refused = async |change: &dyn Fn(&mut RenderStats), field: &str| {
+        let mut result = made.clone();
+        change(&mut result.stats);
+        let problem =
+            farm.report(&lease, TaskResult::Render(result)).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer, Some(format!("/result/render/stats/denoised{field}")));
+    };
+    refused(&|stats| stats.denoised = None, "").await;
+    let wrong = async |field: &str, change: fn(&mut DenoisedStats)| {
+        refused(&|stats| change(stats.denoised.as_mut().unwrap()), field).await;
+    };
+    wrong("/by", |stats| stats.by = String::new()).await;
+    wrong("/error", |stats| stats.error.p50 = -1.0).await;
+    wrong("/measured_pixels", |stats| stats.measured_pixels = u64::MAX).await;
+    wrong("/measuring_cpu_seconds", |stats| stats.measuring_cpu_seconds = -1.0).await;
+    farm.finish(&lease).await;
+    assert_eq!(farm.work_off(&clean, &job).await.state, JobState::Done);
+    let path = format!("/v1/jobs/{}/frames/0", job.id);
+    let frame: FrameRow = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    assert_eq!(frame.actual.unwrap().denoised, Some(made_up_denoised()));
+}
+
+#[tokio::test]
+async fn noise_stays_where_it_is_needed_or_cannot_be_removed() {
+    let farm = Farm::new().await;
+    for (field, value) in [
+        ("error_target", json!({"ppm": 20_000})),
+        ("within", json!({"cpu_micros": 1_000_000_000})),
+        ("renderer", json!({"name": "cycles"})),
+    ] {
+        let mut request = request(&farm, "0");
+        request[field] = value;
+        let problem = farm.submitter.post("/v1/jobs", &request).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some("/denoise"), "{field}: {problem:?}");
+    }
+}
