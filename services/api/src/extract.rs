@@ -15,7 +15,7 @@ pub(crate) use auth::{
 };
 pub(crate) use body::{announced_length, whole, within_announced_length};
 pub(crate) use idempotency::KeyHeader;
-pub(crate) use json::{JsonBody, Large, media_type};
+pub(crate) use json::{JsonBody, Large, OfStrangers, media_type};
 pub(crate) use path::{Segment, Segments};
 pub(crate) use query::{QueryParameters, number, number_if_any};
 pub(crate) use reach::{FarmReader, OwnJob, SeenFrame, SeenJob, check_may_change};

@@ -60,6 +60,11 @@ impl OutputPattern {
         pieces(&self.0).unwrap_or_default().iter().map(|piece| piece.of(of)).collect()
     }
 
+    /// Whether its files are in a folder of the project.
+    pub fn is_of_project(&self) -> bool {
+        self.0.starts_with("{project}/")
+    }
+
     /// Whether its files are the pictures for viewing.
     pub fn is_picture(&self) -> bool {
         self.0.to_ascii_lowercase().ends_with(".png")

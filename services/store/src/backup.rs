@@ -37,11 +37,13 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let file = unfinished.0.to_str().ok_or_else(|| {
         StoreError::Conflict(format!("{}: the name of a backup must be UTF-8", to.display()))
     })?;
+    // SQLite takes an empty file, and gives its journal the same permissions.
+    std::fs::write(&unfinished.0, []).map_err(|error| StoreError::file(&unfinished.0, error))?;
+    restrict_to_owner(&unfinished.0)?;
     // One read transaction: it sees every earlier commit whole, and no later one.
     let mut connection = open(&source, false).await?;
     sqlx::query!("VACUUM INTO ?", file).execute(&mut connection).await?;
     connection.close().await?;
-    restrict_to_owner(&unfinished.0)?;
     let backup = check(&unfinished.0).await?;
     let flush = |path: &Path| {
         std::fs::File::open(path)

@@ -3,7 +3,7 @@
 //! Open jobs and their files are counted in the write that adds one. Bytes are those that exist, and those that
 //! open jobs are still to write. A job that has begun is never broken off for a quota.
 
-use forelight_protocol::{AuditAction, JobSettings, Quota, QuotaRequest, Role, Timestamp};
+use forelight_protocol::{AuditAction, Job, JobSettings, Quota, QuotaRequest, Role, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::audit::{Deed, note};
@@ -181,6 +181,19 @@ impl Store {
     }
 }
 
+/// Refuses to open a job again that is over, if a quota of its project or of its submitter has no room for so
+/// many frames.
+pub(crate) async fn check_open_again(
+    connection: &mut SqliteConnection,
+    job: &Job,
+    frames: u64,
+) -> Result<()> {
+    let submitter = sqlx::query_scalar!("SELECT submitted_by FROM jobs WHERE id = ?", job.id.0);
+    let submitter = submitter.fetch_one(&mut *connection).await?;
+    let bytes = u64::try_from(frame_bytes(&job.settings)).unwrap_or(0).saturating_mul(frames);
+    check_one_more(connection, &job.project, submitter.as_deref(), bytes).await
+}
+
 /// Refuses a job if a quota of its project or of its submitter has no room for it.
 pub(crate) async fn check_new_job(
     connection: &mut SqliteConnection,
@@ -189,9 +202,17 @@ pub(crate) async fn check_new_job(
 ) -> Result<()> {
     let frame = u64::try_from(frame_bytes(&new.settings)).unwrap_or(0);
     let bytes = frame.saturating_mul(new.request.frames.count());
-    for of in
-        [Some(QuotaOf::Project(&new.request.project)), submitter.map(QuotaOf::Token)].into_iter().flatten()
-    {
+    check_one_more(connection, &new.request.project, submitter, bytes).await
+}
+
+/// Refuses one more open job of so many bytes.
+async fn check_one_more(
+    connection: &mut SqliteConnection,
+    project: &str,
+    submitter: Option<&str>,
+    bytes: u64,
+) -> Result<()> {
+    for of in [Some(QuotaOf::Project(project)), submitter.map(QuotaOf::Token)].into_iter().flatten() {
         check_open_jobs(connection, of).await?;
         check_storage(connection, of, bytes).await?;
     }

@@ -2,9 +2,11 @@
 //!
 //! Everybody may connect, so what a connection costs must not be what others lack. Each connection has a
 //! *standing*: a stranger's has shown no valid token yet, a worker's has shown one of a worker. When all seats
-//! are taken, the connection gives way that has the lowest standing and was quiet for longest. One that a
-//! request runs on is not quiet, and a worker's never gives way to others. So whoever comes next, such as a
-//! health check, is let in, and sockets that were opened to be held cannot keep anybody out.
+//! are taken, the quiet connection gives way that has the lowest standing and was quiet for longest. One that a
+//! request runs on is not quiet. If none is quiet, a stranger's oldest request is ended: those of strangers are
+//! short, unless they are there to hold a seat. Known callers' requests, and workers, never give way to others.
+//! So whoever comes next, such as a health check, is let in, and nobody is kept out by connections or requests
+//! that were begun to be held.
 //!
 //! Strangers of one address have a quarter of the seats. A proxy or a rack behind one address is not held to
 //! that, because its connections show tokens.
@@ -47,15 +49,23 @@ pub(crate) struct Admission {
 struct Seats {
     taken: HashMap<u64, Seat>,
     /// Connections that may give way, the first of them first.
-    quiet: BTreeSet<Place>,
+    yielding: BTreeSet<Place>,
     /// How many strangers each address has, and which of them may give way.
     strangers: BTreeMap<IpAddr, (usize, BTreeSet<Place>)>,
     /// Counts changes, to order connections by how long they were quiet.
     turn: u64,
 }
 
-/// Standing, since when it was quiet, and number of a connection.
-type Place = (Standing, u64, u64);
+/// Which connections go first; since when it was quiet, or busy; and number of a connection.
+type Place = (Yields, u64, u64);
+
+/// Which connections give way first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Yields {
+    QuietStranger,
+    QuietPerson,
+    BusyStranger,
+}
 
 struct Seat {
     peer: IpAddr,
@@ -66,8 +76,15 @@ struct Seat {
 }
 
 impl Seat {
-    fn place(&self, number: u64) -> Place {
-        (self.standing, self.since, number)
+    /// `None` if it does not give way.
+    fn place(&self, number: u64) -> Option<Place> {
+        let yields = match (self.standing, self.requests) {
+            (Standing::Stranger, 0) => Yields::QuietStranger,
+            (Standing::Known, 0) => Yields::QuietPerson,
+            (Standing::Stranger, _) => Yields::BusyStranger,
+            (Standing::Known | Standing::Worker, _) => return None,
+        };
+        Some((yields, self.since, number))
     }
 }
 
@@ -87,16 +104,11 @@ impl Seats {
 
     fn sit(&mut self, number: u64, seat: Seat) {
         let place = seat.place(number);
-        let is_quiet = seat.requests == 0 && seat.standing < Standing::Worker;
-        if is_quiet {
-            self.quiet.insert(place);
-        }
+        self.yielding.extend(place);
         if seat.standing == Standing::Stranger {
-            let (count, quiet) = self.strangers.entry(seat.peer).or_default();
+            let (count, yielding) = self.strangers.entry(seat.peer).or_default();
             *count += 1;
-            if is_quiet {
-                quiet.insert(place);
-            }
+            yielding.extend(place);
         }
         self.taken.insert(number, seat);
     }
@@ -104,12 +116,16 @@ impl Seats {
     fn leave(&mut self, number: u64) -> Option<Seat> {
         let seat = self.taken.remove(&number)?;
         let place = seat.place(number);
-        self.quiet.remove(&place);
+        if let Some(place) = &place {
+            self.yielding.remove(place);
+        }
         if seat.standing == Standing::Stranger
-            && let Some((count, quiet)) = self.strangers.get_mut(&seat.peer)
+            && let Some((count, yielding)) = self.strangers.get_mut(&seat.peer)
         {
             *count -= 1;
-            quiet.remove(&place);
+            if let Some(place) = &place {
+                yielding.remove(place);
+            }
             if *count == 0 {
                 self.strangers.remove(&seat.peer);
             }
@@ -130,19 +146,19 @@ impl Admission {
         Arc::new(Self { most, most_of_one: most / 4, seats: Mutex::default() })
     }
 
-    /// A seat for a new connection. `None` if all others are at work, or are those of workers.
+    /// A seat for a new connection. `None` if all others are known callers' at work, or those of workers.
     pub fn admit(self: &Arc<Self>, peer: IpAddr) -> Option<Guest> {
         let mut seats = self.seats.lock();
-        if let Some((count, quiet)) = seats.strangers.get(&peer)
+        if let Some((count, yielding)) = seats.strangers.get(&peer)
             && *count >= self.most_of_one
         {
-            let first = quiet.first().copied();
+            let first = yielding.first().copied();
             if !seats.end(first) {
                 return None;
             }
         }
         if seats.taken.len() >= self.most {
-            let first = seats.quiet.first().copied();
+            let first = seats.yielding.first().copied();
             if !seats.end(first) {
                 return None;
             }
@@ -161,10 +177,10 @@ impl Admission {
         Some(Guest { admission: self.clone(), number, gives_way })
     }
 
-    /// Ends one quiet connection, for the system has no file left for another. Whether there was one.
+    /// Ends one connection, for the system has no file left for another. Whether there was one.
     pub fn make_room(&self) -> bool {
         let mut seats = self.seats.lock();
-        let first = seats.quiet.first().copied();
+        let first = seats.yielding.first().copied();
         seats.end(first)
     }
 }
@@ -184,7 +200,8 @@ impl Drop for Guest {
 }
 
 impl Guest {
-    /// A request on this connection. While it runs, the connection does not give way.
+    /// A request on this connection. While it runs, the connection gives way only if it is a stranger's and no
+    /// other is quiet.
     pub fn request(&self) -> RequestSeat {
         self.admission.seats.lock().change(self.number, |seat| seat.requests += 1);
         RequestSeat { admission: self.admission.clone(), number: self.number }
@@ -241,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_shown_a_token_stays_before_strangers_and_workers_and_requests_never_give_way() {
+    fn who_has_shown_a_token_stays_before_strangers_and_workers_and_known_requests_never_give_way() {
         let admission = Admission::new(4);
         let [known, worker, busy, stranger] = [1, 2, 3, 4].map(|n| admission.admit(address(n)).unwrap());
         known.request().show(Standing::from(Role::Viewer));
@@ -255,11 +272,16 @@ mod tests {
         let after = admission.admit(address(6)).unwrap();
         assert!(gone(&known) && !gone(&worker) && !gone(&busy));
         let last = after.request();
-        assert!(admission.admit(address(7)).is_none(), "all others work, or are workers");
+        // Only requests are left, and a worker. The oldest of a stranger ends.
+        let late = admission.admit(address(7)).unwrap();
+        assert!(gone(&busy) && !gone(&next) && !gone(&after));
+        let held = late.request();
+        [&running, &last, &held].iter().for_each(|request| request.show(Standing::Known));
+        assert!(admission.admit(address(8)).is_none(), "all others work, or are workers");
         assert!(!admission.make_room());
         drop((request, running, last));
-        assert!(admission.make_room() && gone(&busy));
-        assert!(admission.admit(address(7)).is_some() && !gone(&worker));
+        assert!(admission.make_room() && gone(&next));
+        assert!(admission.admit(address(8)).is_some() && !gone(&worker));
     }
 
     #[test]
@@ -270,9 +292,12 @@ mod tests {
         assert_eq!(own.iter().map(gone).collect::<Vec<_>>(), [true, true, false, false, false, false]);
         assert!(!gone(&other));
         let requests: Vec<RequestSeat> = own[2..].iter().map(Guest::request).collect();
-        assert!(admission.admit(address(2)).is_none(), "its share is at work");
+        // Its share is at work: one of its own requests ends, and no other's connection.
+        let next = admission.admit(address(2)).unwrap();
+        assert!(gone(&own[2]) && !gone(&own[3]) && !gone(&other));
         // A proxy's connections show tokens and no longer count.
         requests.iter().for_each(|request| request.show(Standing::Known));
-        assert!(admission.admit(address(2)).is_some());
+        let more: Vec<Guest> = (0..3).map(|_| admission.admit(address(2)).unwrap()).collect();
+        assert!(!gone(&next) && !more.iter().any(gone));
     }
 }

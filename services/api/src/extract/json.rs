@@ -22,12 +22,21 @@ pub(crate) trait BodyLimit {
 /// Requests by people.
 pub(crate) struct Small;
 
+/// Requests by callers of whom nothing is known yet. Many of them must not take much memory.
+pub(crate) struct OfStrangers;
+
 /// Results of tasks.
 pub(crate) struct Large;
 
 impl BodyLimit for Small {
     fn bytes(app: &App) -> usize {
         app.limits.request_bytes
+    }
+}
+
+impl BodyLimit for OfStrangers {
+    fn bytes(app: &App) -> usize {
+        app.limits.request_bytes.min(64 << 10)
     }
 }
 

@@ -31,8 +31,10 @@ pub(crate) async fn put(
 ) -> ApiResult<Response> {
     let limit = app.limits.artifact_bytes;
     let body = within_announced_length(&headers, body, limit).await?;
-    // A result of work that was done is taken as long as it fits.
-    let room = app.reserved.begin(&app.store, &headers, limit, 0)?;
+    // A result of work that was done is taken as long as it fits. What is left lets the database write, so that
+    // people can make room.
+    let leave = app.limits.least_disk_space / 2;
+    let room = app.reserved.begin(&app.store, &headers, limit, leave)?;
     let content = room.fill(body.into_data_stream());
     let stored = app.store.artifacts().put(hash, content, limit, app.now()).await?;
     let status = if stored.existed { StatusCode::OK } else { StatusCode::CREATED };

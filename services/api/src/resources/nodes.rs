@@ -19,8 +19,8 @@ use super::checks::{check_name, check_search};
 use super::responses::{created, repeated, tagged};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{
-    Anyone, JsonBody, KeyHeader, OneTimeToken, Operator, Peer, QueryParameters, Segment, WorkerToken,
-    WorkerVersion, number_if_any,
+    Anyone, JsonBody, KeyHeader, OfStrangers, OneTimeToken, Operator, Peer, QueryParameters, Segment,
+    WorkerToken, WorkerVersion, number_if_any,
 };
 use crate::page::{LARGEST_PAGE, PageQuery, cut};
 use crate::schema::{IdempotencyKeyHeader, WorkerVersionHeader};
@@ -73,7 +73,7 @@ pub(crate) async fn join(
     OneTimeToken(token): OneTimeToken,
     _: WorkerVersion,
     Peer(from): Peer,
-    JsonBody { value: request, .. }: JsonBody<JoinRequest>,
+    JsonBody { value: request, .. }: JsonBody<JoinRequest, OfStrangers>,
 ) -> ApiResult<(StatusCode, Json<Node>)> {
     check_registration("/node", &request.node)?;
     let node = app.store.join(&token, &request, from, app.now()).await?;

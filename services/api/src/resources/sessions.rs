@@ -16,7 +16,9 @@ use forelight_store::tokens::{self, Principal};
 use super::responses::NOT_KEPT;
 use crate::cookies::{check_not_cross_site, forget_session, set_session};
 use crate::error::{ApiError, ApiResult, BAD_TOKEN, Problems};
-use crate::extract::{JsonBody, Operator, Peer, QueryParameters, Reader, Segment, UNKNOWN_TOKEN};
+use crate::extract::{
+    JsonBody, OfStrangers, Operator, Peer, QueryParameters, Reader, Segment, UNKNOWN_TOKEN,
+};
 use crate::page::{PageQuery, cut};
 use crate::state::App;
 
@@ -40,7 +42,7 @@ pub(crate) async fn begin(
     State(app): State<App>,
     Peer(from): Peer,
     headers: HeaderMap,
-    JsonBody { value: request, .. }: JsonBody<SessionRequest>,
+    JsonBody { value: request, .. }: JsonBody<SessionRequest, OfStrangers>,
 ) -> ApiResult<Response> {
     check_not_cross_site(&headers)?;
     let now = app.now();

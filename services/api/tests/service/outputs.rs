@@ -114,3 +114,20 @@ async fn a_pattern_without_a_root_or_that_is_none_is_refused() {
         assert_eq!(problem.pointer.as_deref(), Some("/output"), "{pattern}");
     }
 }
+
+#[tokio::test]
+async fn a_token_of_some_projects_writes_into_their_folders_alone() {
+    let farm = with_root().await;
+    farm.project("ads").await;
+    let (ads, _) = farm.new_token(json!({"name": "ads", "projects": {"ads": "submitter"}})).await;
+    let mut request = farm.job_request("0");
+    request["project"] = json!("ads");
+    for (pattern, status) in [
+        ("film/{frame:04}.exr", StatusCode::UNPROCESSABLE_ENTITY),
+        ("{job}/{project}/{frame}.exr", StatusCode::UNPROCESSABLE_ENTITY),
+        ("{project}/{frame:04}.exr", StatusCode::CREATED),
+    ] {
+        request["output"] = json!(pattern);
+        assert_eq!(ads.post("/v1/jobs", &request).await.status(), status, "{pattern}");
+    }
+}

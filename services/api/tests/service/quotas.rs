@@ -1,7 +1,7 @@
 //! Quotas of projects and tokens.
 
 use crate::support::{Answer, Farm, scene_zip};
-use forelight_protocol::{Job, ProblemKind, QuotaList};
+use forelight_protocol::{Job, JobState, ProblemKind, QuotaList};
 use reqwest::{Method, StatusCode};
 use serde_json::{Value, json};
 
@@ -42,6 +42,25 @@ async fn a_project_and_a_token_have_so_many_open_jobs_and_are_told_what_to_do() 
     // A quota that limits nothing is gone.
     assert_eq!(set(&farm, json!({"token": "submitter"})).await.items.len(), 1);
     farm.submit("0").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn jobs_that_are_over_are_opened_again_as_far_as_a_quota_allows() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let jobs = [farm.submit("0").await, farm.submit("0").await];
+    for job in &jobs {
+        assert_eq!(farm.work_off(&node, job).await.state, JobState::Done);
+    }
+    set(&farm, json!({"project": "default", "open_jobs": 1})).await;
+    let retry = async |job: &Job| {
+        farm.submitter.post(&format!("/v1/jobs/{}/frames/retry", job.id), &json!({"frames": "0"})).await
+    };
+    assert_eq!(retry(&jobs[0]).await.status(), StatusCode::OK);
+    retry(&jobs[1]).await.problem(ProblemKind::QuotaExceeded).await;
+    assert_eq!(farm.job(&jobs[1]).await.state, JobState::Done);
+    // Frames of a job that is open are no further job.
+    assert_eq!(retry(&jobs[0]).await.status(), StatusCode::OK);
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -152,6 +152,10 @@ async fn without_room_no_task_is_handed_out_and_every_job_says_so() {
         let lack = answer.problem(ProblemKind::StorageFull).await.detail;
         assert!(lack.contains("MiB of free disk space"), "{lack}");
     }
+    // Nor is an artefact taken that would leave the database none.
+    let path = format!("/v1/artifacts/{}", blake3::hash(b"one").to_hex());
+    let upload = farm.worker.request(Method::PUT, &path).body("one").send().await.unwrap();
+    upload.problem(ProblemKind::StorageFull).await;
     let told = farm.job(&job).await.waits.expect("a reason");
     assert_eq!((told.kind, told.because.contains("MiB of free disk space")), (WaitKind::Room, true));
     let listed: JobPage = farm.viewer.get("/v1/jobs").await.parsed(StatusCode::OK).await;

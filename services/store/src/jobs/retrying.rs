@@ -17,6 +17,7 @@ use crate::jobs::{ending, read};
 use crate::leases::take_task_back;
 use crate::living::{self, Occasion};
 use crate::plans::replans;
+use crate::quotas::check_open_again;
 use crate::quotes::calibration;
 use crate::shared_cache::parts;
 use crate::tasks::{self, begin_again};
@@ -45,6 +46,11 @@ impl Store {
         }
         check_inputs(&mut write, job).await?;
         let rows = rows_of(&mut write, &current).await?;
+        if current.state.is_final() {
+            // Files of finished frames are replaced.
+            let unfinished = rows.iter().filter(|row| row.state != "done").count() as u64;
+            check_open_again(write.connection().await?, &current, unfinished).await?;
+        }
         take_all_back(&mut write, asked(&rows, frames), now).await?;
         for row in asked(&rows, frames) {
             if row.state == "done" {

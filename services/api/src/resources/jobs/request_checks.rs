@@ -24,7 +24,7 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
     if let Some(frames) = request.profile_frames {
         within("/profile_frames", i64::from(frames), 1..=1000)?;
     }
-    within("/priority", i64::from(request.priority), -1000..=1000)?;
+    check_priority(request.priority)?;
     within("/weight", i64::from(request.weight), 1..=1000)?;
     if let Some(bytes) = request.limits.memory_bytes {
         within("/limits/memory_bytes", i64::try_from(bytes).unwrap_or(i64::MAX), 1 << 20..=1 << 50)?;
@@ -55,7 +55,7 @@ pub(crate) async fn checked(app: &App, caller: &Principal, mut request: JobReque
             format!("{frames} frames; a job has at most {}", app.limits.frames),
         ));
     }
-    check_delivery(app, &request)?;
+    check_delivery(app, caller, &request)?;
     if request.video.is_some() {
         check_length(frames, "/video")?;
     }
@@ -131,10 +131,15 @@ fn check_chosen_samples(request: &JobRequest) -> ApiResult<()> {
 const LEAST_SPP_FOR_NOISE: u32 = 4;
 
 /// Where images go, and whether frames are divided, is checked for every renderer.
-fn check_delivery(app: &App, request: &JobRequest) -> ApiResult<()> {
+fn check_delivery(app: &App, caller: &Principal, request: &JobRequest) -> ApiResult<()> {
     if request.output.is_some() && app.output_root.is_none() {
         let reason =
             "the service has no output root: leave this out, or start the service with --output-root";
+        return Err(ApiError::invalid("/output", reason));
+    }
+    if request.output.as_ref().is_some_and(|output| !caller.reaches_all() && !output.is_of_project()) {
+        let reason = "begin the pattern with {project}/: this token reaches some projects only, and images must \
+                      not replace those of others";
         return Err(ApiError::invalid("/output", reason));
     }
     if let Division::Into(PartCount(parts)) = request.division
@@ -146,6 +151,10 @@ fn check_delivery(app: &App, request: &JobRequest) -> ApiResult<()> {
         ));
     }
     Ok(())
+}
+
+pub(super) fn check_priority(priority: i32) -> ApiResult<()> {
+    within("/priority", i64::from(priority), -1000..=1000)
 }
 
 /// Checks a deadline and a budget.
