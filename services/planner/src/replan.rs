@@ -1,6 +1,7 @@
 //! New plans after an event, with as few moves as possible.
 
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
@@ -200,15 +201,15 @@ fn after(input: &Input, old: &Plan, event: &Event) -> Result<(Input, Vec<(u64, T
 }
 
 /// Places tasks without a place, and those past their deadline, the earliest deadline first. Jobs without a
-/// deadline follow in turns.
+/// deadline follow by priority, and in turns.
 fn repair(state: &mut State) {
     let problem = state.problem;
     let open: Vec<usize> = (0..problem.jobs.len()).filter(|&job| is_open(state, job)).collect();
     let has_deadline = |&job: &usize| problem.jobs[job].job.deadline.is_some();
-    let (mut promised, mut others): (Vec<usize>, Vec<usize>) = open.into_iter().partition(has_deadline);
+    let (mut promised, others): (Vec<usize>, Vec<usize>) = open.into_iter().partition(has_deadline);
     promised.sort_unstable_by_key(|&job| {
         let job = problem.jobs[job].job;
-        (job.deadline, std::cmp::Reverse(job.priority), job.id)
+        (job.deadline, Reverse(job.priority), job.id)
     });
     for job in promised {
         let before = (state.missing_tasks(job), state.finish(job));
@@ -223,11 +224,51 @@ fn repair(state: &mut State) {
             late.into_iter().for_each(|placed| state.book(job, placed));
         }
     }
-    let priority = |job: usize| problem.jobs[job].job.priority;
-    others.sort_unstable_by_key(|&job| (std::cmp::Reverse(priority(job)), problem.jobs[job].job.id));
-    for group in others.chunk_by(|&a, &b| priority(a) == priority(b)) {
-        in_turns(state, group);
+    place_by_priority(state, &others);
+}
+
+/// Places jobs without a deadline, the highest priority first. Frames of others without a deadline make way for
+/// jobs of higher priority. Where their time stays free, they go back to it.
+fn place_by_priority(state: &mut State, open: &[usize]) {
+    let problem = state.problem;
+    let rank = |job: usize| Reverse(problem.jobs[job].job.priority);
+    let mut waiting: BTreeMap<Reverse<i32>, BTreeMap<u64, usize>> = BTreeMap::new();
+    let wait = |waiting: &mut BTreeMap<_, BTreeMap<u64, usize>>, job: usize| {
+        waiting.entry(rank(job)).or_default().insert(problem.jobs[job].job.id, job);
+    };
+    open.iter().for_each(|&job| wait(&mut waiting, job));
+    while let Some((level, group)) = waiting.pop_first() {
+        let is_below = |&job: &usize| problem.jobs[job].job.deadline.is_none() && rank(job) > level;
+        let below: Vec<usize> = (0..problem.jobs.len()).filter(is_below).collect();
+        let lifted: Vec<(usize, Vec<Placed>)> =
+            below.into_iter().map(|job| (job, lift(state, job, |_| true))).collect();
+        in_turns(state, &group.into_values().collect::<Vec<usize>>());
+        for (job, places) in lifted {
+            put_back(state, job, &places);
+            if is_open(state, job) {
+                wait(&mut waiting, job);
+            }
+        }
     }
+}
+
+/// Removes and returns the frames of a job for whose places this holds, with all their parts.
+fn lift(state: &mut State, job: usize, is_wanted: impl Fn(&Placed) -> bool) -> Vec<Placed> {
+    let lifted = state.with_other_parts(job, |placed| !placed.task.is_shared_cache() && is_wanted(placed));
+    state.unbook_all(job, &lifted);
+    state.kept[job] = state.placed[job].len();
+    lifted
+}
+
+/// Gives frames that were lifted their places back, where these are free.
+fn put_back(state: &mut State, job: usize, lifted: &[Placed]) {
+    let is_taken = |placed: &Placed| !state.lanes[placed.node].is_free(placed.start, placed.end);
+    let taken: BTreeSet<Option<i64>> =
+        lifted.iter().filter(|&placed| is_taken(placed)).map(|placed| placed.task.frame()).collect();
+    for &placed in lifted.iter().filter(|placed| !taken.contains(&placed.task.frame())) {
+        state.book(job, placed);
+    }
+    state.kept[job] = state.placed[job].len();
 }
 
 fn is_open(state: &State, job: usize) -> bool {
@@ -254,7 +295,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
     let work = &problem.jobs[job];
     let Some(deadline) = work.job.deadline else { return false };
     let release = work.release(problem.input.now);
-    let mut others: Vec<(bool, std::cmp::Reverse<i64>, usize)> = (0..problem.jobs.len())
+    let mut others: Vec<(bool, Reverse<i64>, usize)> = (0..problem.jobs.len())
         .filter(|&other| other != job)
         .filter(|&other| {
             state.placed[other].iter().any(|placed| {
@@ -268,7 +309,7 @@ fn make_way(state: &mut State, job: usize) -> bool {
                 .job
                 .deadline
                 .map_or(i64::MAX, |end| end.saturating_sub(state.finish(other)));
-            (problem.jobs[other].job.deadline.is_some(), std::cmp::Reverse(slack), other)
+            (problem.jobs[other].job.deadline.is_some(), Reverse(slack), other)
         })
         .collect();
     others.sort_unstable();
@@ -291,25 +332,15 @@ fn takes_time_of(state: &mut State, job: usize, other: usize, (release, deadline
     let problem = state.problem;
     let (work, asked) = (&problem.jobs[job], problem.jobs[other].job);
     // Only frames before this job's deadline on nodes that it can use are lifted.
-    let lifted = state.with_other_parts(other, |placed| {
-        !placed.task.is_shared_cache()
-            && placed.start < deadline
+    let lifted = lift(state, other, |placed| {
+        placed.start < deadline
             && placed.end > release
             && work.classes.contains(&problem.class_of[placed.node])
     });
-    state.unbook_all(other, &lifted);
-    state.kept[other] = state.placed[other].len();
     if !place_in_time(state, job) {
         return false;
     }
-    // Frames whose place is still free go back to it.
-    let is_taken = |placed: &Placed| !state.lanes[placed.node].is_free(placed.start, placed.end);
-    let taken: BTreeSet<Option<i64>> =
-        lifted.iter().filter(|&placed| is_taken(placed)).map(|placed| placed.task.frame()).collect();
-    for &placed in lifted.iter().filter(|placed| !taken.contains(&placed.task.frame())) {
-        state.book(other, placed);
-    }
-    state.kept[other] = state.placed[other].len();
+    put_back(state, other, &lifted);
     if asked.deadline.is_some() && place_in_time(state, other) {
         return true;
     }

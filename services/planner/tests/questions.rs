@@ -3,9 +3,9 @@
 use std::sync::Arc;
 
 use forelight_planner::{
-    Change, Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Precedence, Project,
-    Reason, SharedCache, Task, Usage, Verdict, WorkTotal, curve, difference, earliest_for_budget, explain,
-    outlook, plan, replan, simulate, verify, ways_out, what_if,
+    Booking, Change, Confidence, Event, FixedBooking, Frame, Input, Interval, Job, Node, Plan, Precedence,
+    Project, Reason, SharedCache, Task, Usage, Verdict, WorkTotal, curve, difference, earliest_for_budget,
+    explain, outlook, plan, replan, simulate, verify, ways_out, what_if,
 };
 
 const HOUR: i64 = 3_600_000_000;
@@ -268,6 +268,24 @@ fn a_job_without_a_deadline_makes_way_for_one_that_would_be_late() {
     let new = replan(&farm, &old, &Event::JobAdded { job: Box::new(job(2, Some(2), &[2])) }).expect("a plan");
     assert_eq!(verify(&new.input, &new.plan), Ok(()));
     assert!(new.at_risk.is_empty() && new.plan.jobs[1].verdict.is_kept());
+}
+
+#[test]
+fn of_jobs_without_a_deadline_the_greatest_priority_goes_first_and_others_move_no_more_than_that_takes() {
+    let farm = input(vec![node(0, 1, 0), node(1, 1, 0)], vec![job(0, None, &[1, 1, 1, 1])]);
+    let old = sound(&farm);
+    // The first frames of the other job move to the end; its second pair stays.
+    let urgent = Job { priority: 1, ..job(1, None, &[1, 1]) };
+    let new = replan(&farm, &old, &Event::JobAdded { job: Box::new(urgent.clone()) }).expect("a plan");
+    assert_eq!(verify(&new.input, &new.plan), Ok(()));
+    assert_eq!(new.plan.job(1).unwrap().verdict.finish(), Some(HOUR));
+    assert_eq!(new.plan.job(0).unwrap().verdict.finish(), Some(3 * HOUR));
+    let moved = |booking: &&Booking| booking.job == 0 && !old.bookings.contains(booking);
+    assert_eq!(new.plan.bookings.iter().filter(moved).count(), 2);
+    // Of equal priority, nothing moves.
+    let equal = Job { priority: 0, ..urgent };
+    let new = replan(&farm, &old, &Event::JobAdded { job: Box::new(equal) }).expect("a plan");
+    assert_eq!(new.plan.bookings.iter().filter(moved).count(), 0);
 }
 
 #[test]

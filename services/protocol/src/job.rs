@@ -9,7 +9,7 @@ use crate::{
     ArtifactHash, BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FinishQuantiles, FrameForecast,
     FrameSet, JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast, Money, NodeId,
     OutputPattern, PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy,
-    RendererRequest, SceneSummary, SharedCacheProgress, TaskLimits, Timestamp, VideoRequest, Waits,
+    RendererRequest, SceneSummary, SharedCacheProgress, TaskId, TaskLimits, Timestamp, VideoRequest, Waits,
 };
 
 /// Request for a new job.
@@ -160,11 +160,15 @@ pub struct JobChange {
     /// Probability with which the plan must keep deadline and budget.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<Confidence>,
+    /// Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(minimum = -1000, maximum = 1000)]
+    pub priority: Option<i32>,
 }
 
 impl From<AcceptRequest> for JobChange {
     fn from(AcceptRequest { deadline, budget, confidence }: AcceptRequest) -> Self {
-        Self { deadline: deadline.map(Some), budget: budget.map(Some), confidence }
+        Self { deadline: deadline.map(Some), budget: budget.map(Some), confidence, priority: None }
     }
 }
 
@@ -330,10 +334,32 @@ pub struct Job {
     pub hold: bool,
     /// Why the job failed. Absent if it did not.
     pub error: Option<String>,
+    /// What failed of it and is tried again. Absent in lists, and if nothing did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failing: Option<Failing>,
     /// When it was submitted.
     pub created_at: Timestamp,
     /// When it was done, failed or cancelled. Absent until then.
     pub finished_at: Option<Timestamp>,
+}
+
+/// Tasks of a job that failed and are tried again.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct Failing {
+    /// Number of such tasks.
+    pub tasks: u32,
+    /// The one that failed most often.
+    pub task_id: TaskId,
+    /// Its frame. Absent for tasks about all frames.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<u32>,
+    /// How often it failed, or its worker was lost.
+    pub attempts: u32,
+    /// What happened, such as `frame 3 failed 5 times, last on rack-1: exit code 3`.
+    pub words: String,
+    /// When it is tried again, at the earliest. Absent if it may be, or is, already.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub again_at: Option<Timestamp>,
 }
 
 impl Job {

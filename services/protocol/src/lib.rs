@@ -117,8 +117,8 @@ pub use ids::{
     WebhookId,
 };
 pub use job::{
-    AcceptRequest, FrameArtifacts, FrameBooking, FrameFigure, FrameOutput, FramePage, FrameRow, FrameState,
-    FramesRequest, Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
+    AcceptRequest, Failing, FrameArtifacts, FrameBooking, FrameFigure, FrameOutput, FramePage, FrameRow,
+    FrameState, FramesRequest, Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
 };
 pub use job_state::JobState;
 pub use lease::{

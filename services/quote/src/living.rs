@@ -28,8 +28,11 @@ pub use rhythm::{BETWEEN_PIXELS, Last, Occasion, is_due};
 /// exactly as planned would switch with every frame.
 const MARGIN: f64 = 0.02;
 
-/// A job must end at least this much later than booked to count as late: a second, in microseconds.
-const LEAST_DELAY: i64 = 1_000_000;
+/// A job must end at least this much later than booked to count as late: ten seconds, in microseconds.
+const LEAST_DELAY: i64 = 10_000_000;
+
+/// A job must take at least this much more than booked to count as off: CPU seconds.
+const LEAST_EXCESS: f64 = 1.0;
 
 /// Expected work and CPU time of a job.
 #[derive(Clone, Copy, PartialEq, Debug)]
@@ -167,7 +170,7 @@ impl Comparison {
             cost,
             finish,
             booked,
-            cost_is_off: is_off(self.was_off.cost, expected, limit, MARGIN * limit),
+            cost_is_off: is_off(self.was_off.cost, expected, limit, (MARGIN * limit).max(LEAST_EXCESS)),
             finish_is_off: match (finish, booked.finish) {
                 (Some(finish), Some(booked)) => {
                     is_off(self.was_off.finish, finish.micros_since(booked) as f64, 0.0, self.delay as f64)
@@ -248,8 +251,8 @@ mod tests {
     fn a_delay_counts_from_a_fiftieth_of_the_booked_time_and_from_a_second() {
         let at = |seconds: i64| Some(Timestamp::from_micros(seconds * 1_000_000));
         assert_eq!(delay_that_counts(at(0), at(1000)), 20_000_000);
-        assert_eq!(delay_that_counts(at(0), at(1)), 1_000_000);
-        assert_eq!(delay_that_counts(None, at(1000)), 1_000_000);
+        assert_eq!(delay_that_counts(at(0), at(1)), LEAST_DELAY);
+        assert_eq!(delay_that_counts(None, at(1000)), LEAST_DELAY);
     }
 
     #[test]

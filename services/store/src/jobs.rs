@@ -2,6 +2,7 @@
 
 pub(crate) mod changing;
 pub(crate) mod ending;
+mod failing;
 pub(crate) mod frames;
 pub(crate) mod listing;
 pub(crate) mod open_jobs;
@@ -223,6 +224,7 @@ impl JobRow {
             live: progress.live,
             hold: self.hold,
             error: self.error,
+            failing: None,
             created_at: self.created_at.into(),
             finished_at: self.finished_at.map(Into::into),
         })

@@ -189,7 +189,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
   });
 
   await step("changes deadline and budget, and says what that would mean before it is done", async () => {
-    await press("Change deadline or budget…");
+    await press("Change terms…");
     await dialog.getByRole("cell", { name: "P95" }).waitFor();
     // Before the nodes are awake.
     await dialog.getByLabel("Deadline").fill(minutes(Date.now() + HOUR));
@@ -217,7 +217,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
   });
 
   await step("leaves alone what a colleague changes while the question is open", async () => {
-    await press("Change deadline or budget…");
+    await press("Change terms…");
     await dialog.getByRole("cell", { name: "P95" }).waitFor();
     const deadline = new Date(Math.floor((Date.now() + 12 * HOUR) / 60_000) * 60_000).toISOString();
     await farm.ask("PATCH", `/v1/jobs/${finer}`, { deadline });
@@ -237,7 +237,7 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     await dialog.getByText("You can close this. The request continues").waitFor();
     await page.keyboard.press("Escape");
     await gone();
-    await press("Change deadline or budget…");
+    await press("Change terms…");
     await until("the order is under way", () => answers.length === 1);
     answers[0]();
     await page.locator(".failed-late", { hasText: "failed: The service does not answer" }).waitFor();

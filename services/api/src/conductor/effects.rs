@@ -142,7 +142,10 @@ impl Farm {
         let (change, mut words) = self.named(change, job)?;
         words += &format!(": {}", priced(added_cost));
         for other in moved.iter().filter(|other| other.breaks_promise) {
-            words += &format!("; {} misses its deadline", other.name);
+            let of = self.jobs.iter().find(|asked| asked.job.id == other.job_id);
+            let has_deadline = of.is_some_and(|asked| asked.job.deadline.is_some());
+            let what = if has_deadline { "misses its deadline" } else { "is not rendered" };
+            words += &format!("; {} {what}", other.name);
         }
         let later = moved.iter().filter(|other| other.later_ms > 0 && !other.breaks_promise).count();
         if later > 0 {

@@ -159,6 +159,7 @@ pub(crate) async fn get(
     expect(&app, &caller, std::slice::from_mut(&mut job)).await?;
     let spent = app.store.spent_on(job.id, app.now()).await?;
     job.spent = Some(spent).filter(|spent| spent.0 > 0);
+    job.failing = app.store.failing(job.id, app.now()).await?;
     // The estimate dates from the last finished piece of the job; its nodes have been paid since.
     if let Some(live) = &mut job.live {
         live.cost = live.cost.map(|cost| cost.at_least(spent));

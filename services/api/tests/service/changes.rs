@@ -166,7 +166,8 @@ async fn other_terms_are_checked_and_lead_to_a_new_plan() {
         (json!({"deadline": "2020-01-01T00:00:00Z"}), "/deadline"),
         (json!({"budget": -1}), "/budget"),
         (json!({"confidence": "p99"}), "/confidence"),
-        (json!({"priority": 3}), "/priority"),
+        (json!({"priority": 1001}), "/priority"),
+        (json!({"weight": 3}), "/weight"),
     ] {
         let problem = patch(&farm, &job, change.clone()).await.problem(ProblemKind::Invalid).await;
         assert_eq!(problem.pointer.as_deref(), Some(pointer), "{change}");
@@ -361,4 +362,52 @@ async fn changes_are_events() {
     assert_eq!(said, ["its quote was accepted", "a new budget, 7.00", "frames 1 were cancelled"]);
     let states: Vec<JobState> = events.iter().filter_map(|event| event.job_state).collect();
     assert!(states.windows(2).any(|pair| pair == [JobState::Quoted, JobState::Booked]), "{states:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_greater_priority_lets_a_job_go_first() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let [first, second] = [submit(&farm, "0-3", json!({})).await, submit(&farm, "0-3", json!({})).await];
+    farm.until_booked(&node, &first).await;
+    let booked = farm.until_booked(&node, &second).await;
+    for wrong in [-1001, 1001] {
+        let problem =
+            patch(&farm, &second, json!({"priority": wrong})).await.problem(ProblemKind::Invalid).await;
+        assert_eq!(problem.pointer.as_deref(), Some("/priority"));
+    }
+    let changed: Job = patch(&farm, &second, json!({"priority": 7})).await.parsed(StatusCode::OK).await;
+    assert_eq!(changed.priority, 7);
+    farm.until(&second, "be planned anew", |job| job.plan_id != booked.plan_id).await;
+    assert_eq!(renders(&farm, &node).await.job_id, second.id);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_says_what_fails_of_it_until_that_is_done() {
+    let (farm, clock) = Farm::with_clock().await;
+    let node = farm.node("a").await;
+    let job = submit(&farm, "0-1", json!({})).await;
+    let job = farm.until_booked(&node, &job).await;
+    assert_eq!(job.failing, None);
+    let mut frame = None;
+    for attempts in 1..=2 {
+        let lease = renders(&farm, &node).await;
+        let failed = json!({"fence": lease.fence, "error": {"message": "exit code 3"}});
+        let answer = farm.worker.post(&format!("/v1/leases/{}/result", lease.lease_id), &failed).await;
+        assert_eq!(answer.status(), StatusCode::OK);
+        let failing = farm.job(&job).await.failing.unwrap();
+        assert_eq!((failing.tasks, failing.attempts, failing.frame), (1, attempts, lease.spec.frame()));
+        let times = if attempts == 1 { "once on a" } else { "2 times, last on a" };
+        let number = failing.frame.unwrap();
+        assert_eq!(failing.words, format!("frame {number} failed {times}: exit code 3"));
+        assert!(failing.again_at.is_some());
+        frame = failing.frame;
+        clock.advance_micros(90_000_000);
+    }
+    // The next to be handed out is the same frame: its booking came first.
+    let lease = renders(&farm, &node).await;
+    assert_eq!(lease.spec.frame(), frame);
+    assert_eq!(farm.job(&job).await.failing.unwrap().again_at, None);
+    farm.finish(&lease).await;
+    assert_eq!(farm.job(&job).await.failing, None);
 }

@@ -9,11 +9,12 @@ use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
 use forelight_terminal::quantities::{Deadline, parse_deadline, parse_money};
 
-/// Change a job's deadline, budget or confidence; the farm is then planned again
+/// Change a job's deadline, budget, confidence or priority; the farm is then planned again
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight change kitchen --deadline 'tomorrow 06:00' --data farm-data
+  forelight change kitchen --priority 50 --data farm-data
   forelight change kitchen --no-deadline --budget 20 --server http://farm:7878 --token-file me.token
 
 What you leave out stays. `forelight ask kitchen --deadline 3h` says first what another deadline would cost.")]
@@ -47,6 +48,9 @@ struct Terms {
     /// Quantile of the forecast that the booking uses
     #[arg(long, value_name = "LEVEL")]
     confidence: Option<Confidence>,
+    /// Priority among jobs with the same deadline, -1000 to 1000. A larger number goes first
+    #[arg(long, value_name = "NUMBER", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    priority: Option<i32>,
 }
 
 pub async fn run(args: Args) -> Result<()> {
@@ -66,6 +70,7 @@ fn change(terms: &Terms, now: jiff::Timestamp) -> Result<JobChange, BadInput> {
         deadline: if terms.no_deadline { Some(None) } else { deadline.map(Some) },
         budget: if terms.no_budget { Some(None) } else { terms.budget.map(|budget| Some(Money(budget))) },
         confidence: terms.confidence,
+        priority: terms.priority,
     })
 }
 
@@ -76,10 +81,21 @@ mod tests {
 
     #[test]
     fn terms_that_are_left_out_stay_and_others_are_set_or_removed() {
-        let terms =
-            Terms { deadline: None, no_deadline: true, budget: Some(5), no_budget: false, confidence: None };
+        let terms = Terms {
+            deadline: None,
+            no_deadline: true,
+            budget: Some(5),
+            no_budget: false,
+            confidence: None,
+            priority: Some(-3),
+        };
         let changed = change(&terms, jiff::Timestamp::UNIX_EPOCH).unwrap();
-        let expected = JobChange { deadline: Some(None), budget: Some(Some(Money(5))), confidence: None };
+        let expected = JobChange {
+            deadline: Some(None),
+            budget: Some(Some(Money(5))),
+            confidence: None,
+            priority: Some(-3),
+        };
         assert_eq!(changed, expected);
         let terms = Terms {
             deadline: Some(parse_deadline("2h").unwrap()),
@@ -87,9 +103,13 @@ mod tests {
             budget: None,
             no_budget: false,
             confidence: Some(Confidence::P95),
+            priority: None,
         };
         let changed = change(&terms, jiff::Timestamp::UNIX_EPOCH).unwrap();
         let deadline = Some(Some(Timestamp::from_micros(7_200_000_000)));
-        assert_eq!(changed, JobChange { deadline, budget: None, confidence: Some(Confidence::P95) });
+        assert_eq!(
+            changed,
+            JobChange { deadline, confidence: Some(Confidence::P95), ..JobChange::default() }
+        );
     }
 }

@@ -5,7 +5,8 @@ use crate::connection::connect;
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use forelight_protocol::{
-    Money, Node, NodeCalendar, NodeChange, NodeState, NodeTerms, PowerState, TimeSpan, Timestamp, WindowEnd,
+    Money, Node, NodeActivity, NodeCalendar, NodeChange, NodeState, NodeTerms, PowerState, TimeSpan,
+    Timestamp, WindowEnd,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::options::duration;
@@ -121,6 +122,10 @@ fn or_default<T>(text: &str, parse: impl Fn(&str) -> Result<T, String>) -> Resul
 impl Args {
     /// The change of `node` that the flags ask for. It is empty if they ask for none.
     fn change(&self, node: &Node) -> Result<NodeChange> {
+        if self.order == Some(Order::Back) && node.set_aside.is_none() {
+            let reason = format!("{} is not set aside, so `back` changes nothing", node.name);
+            return Err(BadInput::new(reason).hint("`resume` ends a drain or a pause").into());
+        }
         let mut change = self.order.map_or_else(NodeChange::default, Order::change);
         let wrong = |flag: &str, reason: String| BadInput::new(format!("--{flag}: {reason}"));
         if let Some(text) = &self.schedule {
@@ -221,6 +226,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
     let mut table = Table::new(&[
         ("node", Align::Left),
         ("state", Align::Left),
+        ("does", Align::Left),
         ("cores", Align::Right),
         ("speed", Align::Right),
         ("version", Align::Left),
@@ -234,6 +240,7 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         table.row([
             node.name.clone(),
             node.state.name().replace('_', " "),
+            node.activity.as_ref().map_or_else(String::new, activity),
             node.cores.to_string(),
             format!("{:.2}", node.speed),
             version(node),
@@ -255,6 +262,14 @@ fn report(nodes: &[Node], now: Timestamp) -> String {
         }
     }
     text
+}
+
+/// What the node does, such as `render of frame 8 of kitchen, 84 %`.
+fn activity(does: &NodeActivity) -> String {
+    let NodeActivity { kind, frame, job, progress, .. } = does;
+    let frame = frame.map_or(String::new(), |frame| format!(" of frame {frame}"));
+    let kind = kind.name().replace('_', " ");
+    format!("{kind}{frame} of {job}, {:.0} %", 100.0 * progress)
 }
 
 /// The terms of a node, a line each.

@@ -173,6 +173,11 @@ fn report(job: &Job, beside: &Beside, now: Timestamp) -> String {
         let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
     }
+    if let Some(failing) = &job.failing {
+        let again =
+            failing.again_at.map_or(String::new(), |at| format!("; tried again at {}", clock(at, now)));
+        line("failing", format!("{}{again}", failing.words));
+    }
     if let Some(by) = &job.rendered_by {
         let mixed = by.mixed.as_ref().map_or(String::new(), |words| format!(": {words}"));
         line("renderer", format!("forelight {}{mixed}", by.version));

@@ -365,7 +365,7 @@ export interface paths {
         delete: operations["job_delete"];
         options?: never;
         head?: never;
-        /** Changes deadline, budget or confidence of a job. The farm is then planned again. */
+        /** Changes deadline, budget, confidence or priority of a job. The farm is then planned again. */
         patch: operations["job_change"];
         trace?: never;
     };
@@ -2728,6 +2728,29 @@ export interface components {
              */
             work: number;
         };
+        /** @description Tasks of a job that failed and are tried again. */
+        Failing: {
+            again_at?: components["schemas"]["Timestamp"] | null;
+            /**
+             * Format: int32
+             * @description How often it failed, or its worker was lost.
+             */
+            attempts: number;
+            /**
+             * Format: int32
+             * @description Its frame. Absent for tasks about all frames.
+             */
+            frame?: number | null;
+            /** @description The one that failed most often. */
+            task_id: components["schemas"]["TaskId"];
+            /**
+             * Format: int32
+             * @description Number of such tasks.
+             */
+            tasks: number;
+            /** @description What happened, such as `frame 3 failed 5 times, last on rack-1: exit code 3`. */
+            words: string;
+        };
         /**
          * @description Where the cause of a failure lies, as far as the worker knows. It decides whose fault the failure is.
          * @enum {string}
@@ -3233,6 +3256,7 @@ export interface components {
             error?: string | null;
             error_target?: components["schemas"]["ErrorTarget"] | null;
             eta?: components["schemas"]["Timestamp"] | null;
+            failing?: components["schemas"]["Failing"] | null;
             finish?: components["schemas"]["FinishQuantiles"] | null;
             finished_at?: components["schemas"]["Timestamp"] | null;
             /** @description The frames to render. */
@@ -3320,6 +3344,11 @@ export interface components {
             budget?: components["schemas"]["Money"] | null;
             confidence?: components["schemas"]["Confidence"] | null;
             deadline?: components["schemas"]["Timestamp"] | null;
+            /**
+             * Format: int32
+             * @description Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+             */
+            priority?: number | null;
         };
         /** @description The result of checking a job request. Nothing is stored. */
         JobCheck: {

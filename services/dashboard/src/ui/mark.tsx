@@ -27,6 +27,7 @@ const GLYPHS: Record<string, [glyph: string, tone: Tone, word: string]> = {
   leased: ["▶", "busy", "running"],
   running: ["▶", "busy", "running"],
   risk: ["⚠", "bad", "at risk"],
+  failing: ["⚠", "warn", "failing"],
   kept: ["✓", "good", "kept"],
   missed: ["✕", "bad", "missed"],
   on_time: ["✓", "good", "on time"],

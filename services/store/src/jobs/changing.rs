@@ -1,4 +1,4 @@
-//! Accepting quotes, and changing the terms of jobs: deadline, budget and confidence.
+//! Accepting quotes, and changing the terms of jobs: deadline, budget, confidence and priority.
 
 use forelight_protocol::{
     AuditAction, Event, EventKind, FramePart, Job, JobChange, JobId, JobNews, JobState, Money, Timestamp,
@@ -61,11 +61,15 @@ impl Store {
             deadline: change.deadline.filter(|it| *it != current.deadline),
             budget: change.budget.filter(|it| *it != current.budget),
             confidence: change.confidence.filter(|it| *it != current.confidence),
+            priority: change.priority.filter(|it| *it != current.priority),
         };
         if changed == JobChange::default() {
             return Ok(current);
         }
         set_terms(&mut write, job, &changed).await?;
+        if let Some(priority) = changed.priority {
+            let_ahead(&mut write, &current, priority).await?;
+        }
         rebook_rates(&mut write, job).await?;
         let what = in_words(&changed);
         replans::want(&mut write, &format!("job {} has {what}", current.name)).await?;
@@ -90,20 +94,35 @@ async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<
         write,
         "UPDATE jobs SET deadline_at = CASE WHEN ?1 THEN ?2 ELSE deadline_at END, \
          budget = CASE WHEN ?3 THEN ?4 ELSE budget END, confidence = coalesce(?5, confidence), \
-         terms = terms + 1 WHERE id = ?6",
+         priority = coalesce(?6, priority), terms = terms + 1 WHERE id = ?7",
         change.deadline.is_some(),
         change.deadline.flatten().map(Timestamp::micros),
         change.budget.is_some(),
         change.budget.flatten().map(Money::micro_units),
         change.confidence.map(|confidence| confidence.name()),
+        change.priority,
         job.0
     );
-    // Claims look for tasks by the deadline of their jobs.
+    // Claims look for tasks by deadline and priority of their jobs.
     run!(
         write,
-        "UPDATE tasks SET due_at = (SELECT coalesce(deadline_at, 9223372036854775807) FROM jobs WHERE id = ?1) \
-         WHERE job_id = ?1 AND state IN ('waiting', 'ready', 'leased')",
+        "UPDATE tasks SET due_at = (SELECT coalesce(deadline_at, 9223372036854775807) FROM jobs WHERE id = ?1), \
+         priority = (SELECT priority FROM jobs WHERE id = ?1) WHERE job_id = ?1 AND state IN ('waiting', 'ready', 'leased')",
         job.0
+    );
+    Ok(())
+}
+
+/// Has jobs placed anew that go before a job whose priority was higher than theirs, and is not any more. Only
+/// those without a deadline go by priority alone.
+async fn let_ahead(write: &mut Write, job: &Job, priority: i32) -> Result<()> {
+    run!(
+        write,
+        "UPDATE jobs SET terms = terms + 1 WHERE state IN ('booked', 'rendering') AND deadline_at IS NULL \
+         AND priority > ? AND priority <= ? AND id <> ?",
+        priority,
+        job.priority,
+        job.id.0
     );
     Ok(())
 }
@@ -156,6 +175,9 @@ fn in_words(change: &JobChange) -> String {
     }
     if let Some(confidence) = change.confidence {
         words.push(format!("a new confidence, {}", confidence.name()));
+    }
+    if let Some(priority) = change.priority {
+        words.push(format!("a new priority, {priority}"));
     }
     words.join(" and ")
 }

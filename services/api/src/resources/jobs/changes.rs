@@ -4,7 +4,7 @@ use axum::Json;
 use axum::extract::State;
 use forelight_protocol::{AcceptRequest, FrameSet, FramesRequest, Job, JobChange, JobId, ProblemKind};
 
-use super::request_checks::check_terms;
+use super::request_checks::{check_priority, check_terms};
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, OwnJob};
 use crate::state::App;
@@ -27,7 +27,7 @@ pub(crate) async fn accept(
     Ok(Json(accepted))
 }
 
-/// Changes deadline, budget or confidence of a job. The farm is then planned again.
+/// Changes deadline, budget, confidence or priority of a job. The farm is then planned again.
 #[utoipa::path(patch, path = "/v1/jobs/{id}", operation_id = "job_change", tag = "jobs",
     params(("id" = JobId, Path)), request_body = JobChange,
     responses((status = 200, description = "The job", body = Job), Problems))]
@@ -37,6 +37,7 @@ pub(crate) async fn change(
     JsonBody { value: change, .. }: JsonBody<JobChange>,
 ) -> ApiResult<Json<Job>> {
     check_terms(&app, change.deadline.flatten(), change.budget.flatten())?;
+    change.priority.map_or(Ok(()), check_priority)?;
     let changed = app.by(&caller).change_job(job, &change, app.now()).await?;
     // The conductor looks again what would become of a quote on hold.
     let _ = app.conductor.send(job);

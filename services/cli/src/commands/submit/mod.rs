@@ -32,7 +32,9 @@ use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::local::settings_request;
 use forelight_terminal::options::{MachineOptions, QualityOptions, duration};
 use forelight_terminal::output::{self, Bars};
-use forelight_terminal::quantities::{Deadline, parse_bytes, parse_deadline, parse_money, parse_seconds};
+use forelight_terminal::quantities::{
+    Deadline, clock, parse_bytes, parse_deadline, parse_money, parse_seconds,
+};
 use std::path::{Path, PathBuf};
 use uuid::Uuid;
 
@@ -210,6 +212,9 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
         (None, Some(bundle)) => submit(&args, bundle, &client, &bars, &interrupt).await?,
         (None, None) => return Err(BadInput::new("name a bundle, or a job by --job").into()),
     };
+    if let (Some(at), None) = (job.deadline, &args.job) {
+        bars.note(format!("deadline {}", clock(at, Timestamp::now())));
+    }
     if !args.follow && args.out.is_none() {
         return if args.json { output::json(&job) } else { output::line(job.id.to_string()) };
     }

@@ -144,9 +144,9 @@ function Row(props: { node: Node; open: (id: string) => void; changed: (node: No
             <Act
               busy={busy}
               press={() => void order({ drain: !node.drain })}
-              label={`${node.drain ? "Back to work" : "Drain"}: ${clean(node.name)}`}
+              label={`${node.drain ? "End the drain" : "Drain"}: ${clean(node.name)}`}
             >
-              {node.drain ? "Back" : "Drain"}
+              {node.drain ? "Undrain" : "Drain"}
             </Act>{" "}
             <Act
               busy={busy}

@@ -1,4 +1,4 @@
-// Changing a job's deadline, confidence and budget; and cancelling it.
+// Changing a job's deadline, budget, confidence and priority; and cancelling it.
 
 import { useState } from "preact/hooks";
 import { cancelJob, changeJob } from "../../actions/jobs";
@@ -23,6 +23,7 @@ function termsOf(job: Job) {
     deadline: job.deadline ? localText(Date.parse(job.deadline)) : "",
     budget: job.budget == null ? "" : moneyField(job.budget),
     confidence: job.confidence,
+    priority: String(job.priority),
   };
 }
 
@@ -34,22 +35,25 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
   // What nobody wrote in stays what the job has, also when somebody else changes that meanwhile.
   const [written, setWritten] = useState<Partial<Terms>>({});
   const present = termsOf(job);
-  const { deadline, budget, confidence } = { ...present, ...written };
+  const { deadline, budget, confidence, priority } = { ...present, ...written };
   const write = (part: Partial<Terms>) => setWritten((old) => ({ ...old, ...part }));
   const micros = budget.trim() === "" ? null : parseMoney(budget);
   const wrong = budget.trim() !== "" && micros === null;
+  const rank = /^[-−]?\d{1,4}$/.test(priority.trim()) ? Number(priority.trim().replace("−", "-")) : NaN;
+  const isNoRank = !(Math.abs(rank) <= 1000);
   const until = deadline === present.deadline ? (job.deadline ?? null) : timestampOf(deadline);
   const isNoTime = deadline !== "" && until === null;
   const change: JobChange = {
     ...(deadline === present.deadline ? {} : { deadline: until }),
     ...(budget === present.budget ? {} : { budget: micros }),
     ...(confidence === present.confidence ? {} : { confidence }),
+    ...(rank === job.priority || isNoRank ? {} : { priority: rank }),
   };
   return (
     <Confirm
       title={`Change ${clean(job.name)}`}
       act="Change and plan anew"
-      ready={!wrong && !isNoTime && Object.keys(change).length > 0}
+      ready={!wrong && !isNoTime && !isNoRank && Object.keys(change).length > 0}
       wide
       close={props.close}
       run={async () => {
@@ -78,6 +82,20 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
             />
           )}
         </Field>
+        <Field
+          label="Priority"
+          hint="Among jobs with the same deadline; the greatest goes first."
+          error={isNoRank ? "Write a whole number from -1000 to 1000." : null}
+        >
+          {(id) => (
+            <input
+              id={id}
+              inputMode="numeric"
+              value={priority}
+              onInput={(event) => write({ priority: event.currentTarget.value })}
+            />
+          )}
+        </Field>
       </div>
       <Choice
         label="Confidence"
@@ -100,6 +118,7 @@ function Meanwhile(props: { job: Job; before: Terms; present: Terms }) {
       `its deadline is ${job.deadline ? clockTime(Date.parse(job.deadline)) : "none"}`,
     before.budget !== present.budget && `its budget is ${job.budget == null ? "none" : money(job.budget)}`,
     before.confidence !== present.confidence && `its confidence is ${job.confidence.toUpperCase()}`,
+    before.priority !== present.priority && `its priority is ${job.priority}`,
   ].filter((line) => line !== false);
   return (
     <p role="status" class={said.length > 0 ? "tone-warn" : "unseen"}>

@@ -43,7 +43,7 @@ export function JobHead(props: { job: Job; changed: () => void }) {
             {!over && (
               <>
                 <button type="button" onClick={() => setAsked("change")}>
-                  Change deadline or budget…
+                  Change terms…
                 </button>
                 <button type="button" class="danger" onClick={() => setAsked("cancel")}>
                   Cancel job…
@@ -61,6 +61,19 @@ export function JobHead(props: { job: Job; changed: () => void }) {
             ✕
           </span>
           {clean(job.error)}
+        </p>
+      )}
+      {!over && job.failing && (
+        <p class="risk">
+          <Mark of="failing" /> <Prose text={job.failing.words} />{" "}
+          {job.failing.again_at && (
+            <>
+              It is tried again at <Time at={job.failing.again_at} exact />.{" "}
+            </>
+          )}
+          <a href={href(["jobs", job.id], { tab: "logs", frame: job.failing.frame?.toString() })}>
+            Look at the log
+          </a>
         </p>
       )}
       {!over && job.waits && (

@@ -67,6 +67,7 @@ export function Selection(props: Asked) {
   const wrong = draft !== "" && parseFrames(draft) === null;
   const done = placesIn(doc, selected, "d");
   const open = placesIn(doc, selected, OPEN);
+  const failed = [...doc.states].flatMap((state, at) => (state === "f" ? [at] : []));
   const one = count === 1 ? numbers[[...selected.indices][0]!]! : null;
   return (
     <div class="selection">
@@ -91,6 +92,17 @@ export function Selection(props: Asked) {
             ? "none: drag over the cells, or write numbers, to retry, cancel or fetch frames"
             : counted(count, "frame")}
       </span>
+      {count === 0 && failed.length > 0 && canRetry(job) && maySubmitTo(job.project) && (
+        <button
+          type="button"
+          onClick={() => {
+            selected.select(new Set(failed));
+            setAsked("retry");
+          }}
+        >
+          Retry {counted(failed.length, "failed frame")}…
+        </button>
+      )}
       {count > 0 && maySubmitTo(job.project) && (
         <>
           {canRetry(job) && (

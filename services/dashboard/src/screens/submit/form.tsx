@@ -175,26 +175,30 @@ function OwnQuality(props: Asked) {
           )}
         </Field>
       </div>
-      <label>
-        <input
-          type="checkbox"
-          checked={draft.ladders && !draft.error.trim()}
-          disabled={draft.error.trim() !== ""}
-          onChange={(event) => change({ ladders: event.currentTarget.checked })}
-        />{" "}
-        Price other qualities too
-        <span class="hint"> (profiles one frame with other settings as well)</span>
-      </label>
-      <label>
-        <input
-          type="checkbox"
-          checked={draft.denoise && !chosen}
-          disabled={chosen}
-          onChange={(event) => change({ denoise: event.currentTarget.checked })}
-        />{" "}
-        Remove the noise
-        <span class="hint"> (by nodes with Open Image Denoise; the error that is left is measured)</span>
-      </label>
+      <p>
+        <label>
+          <input
+            type="checkbox"
+            checked={draft.ladders && !draft.error.trim()}
+            disabled={draft.error.trim() !== ""}
+            onChange={(event) => change({ ladders: event.currentTarget.checked })}
+          />{" "}
+          Price other qualities too
+          <span class="hint"> (profiles one frame with other settings as well)</span>
+        </label>
+      </p>
+      <p>
+        <label>
+          <input
+            type="checkbox"
+            checked={draft.denoise && !chosen}
+            disabled={chosen}
+            onChange={(event) => change({ denoise: event.currentTarget.checked })}
+          />{" "}
+          Remove the noise
+          <span class="hint"> (by nodes with Open Image Denoise; the error that is left is measured)</span>
+        </label>
+      </p>
       {wrong.denoise && (
         <p class="wrong-text" role="alert">
           {wrong.denoise}
