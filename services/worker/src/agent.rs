@@ -68,7 +68,9 @@ pub struct Agent {
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
     /// The service refused the token or the registration.
-    #[error("the service at {address} refused this worker: check its token and registration")]
+    #[error(
+        "the service at {address} refused this worker: its node was removed, or its token is wrong, revoked or expired"
+    )]
     Refused {
         /// Address of the service.
         address: String,

@@ -434,6 +434,9 @@ fn behind_in_words(farm: &Farm, waiting: usize, jobs: &[(u64, Precedence)]) -> S
     let one = |(job, why): &(u64, Precedence)| -> Option<String> {
         let other = farm.jobs.get(*job as usize)?;
         let why = match why {
+            _ if other.held => {
+                format!("is booked there, although the budget of {} holds it", other.job.project)
+            }
             Precedence::Fixed => "is being rendered".to_owned(),
             Precedence::Share { .. } => match (&mine, share(farm, *job as usize)) {
                 (Some(mine), Some(theirs)) => format!(

@@ -411,3 +411,31 @@ async fn a_job_says_what_fails_of_it_until_that_is_done() {
     farm.finish(&lease).await;
     assert_eq!(farm.job(&job).await.failing, None);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_whose_quote_failed_goes_on_with_what_was_measured() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let job = submit(&farm, "0-9", json!({"profile_frames": 3})).await;
+    let preview = farm.next(&node, TaskKind::Preview).await;
+    farm.finish(&preview).await;
+    let first = farm.next(&node, TaskKind::Profile).await;
+    farm.finish(&first).await;
+    let second = farm.next(&node, TaskKind::Profile).await;
+    farm.fail_without_bundle(&second).await;
+    assert_eq!(farm.job(&job).await.state, JobState::Failed);
+
+    let frames = json!({"frames": "0-9"});
+    let again: Job = post(&farm, &job, "frames/retry", frames.clone()).await.parsed(StatusCode::OK).await;
+    assert_eq!((again.state, again.error, again.finished_at), (JobState::Profiling, None, None));
+    // The two profiles that are missing are made; the first stays.
+    let mut profiled = Vec::new();
+    for _ in 0..2 {
+        let lease = farm.next(&node, TaskKind::Profile).await;
+        profiled.extend(lease.spec.frame());
+        farm.finish(&lease).await;
+    }
+    assert!(!profiled.contains(&first.spec.frame().unwrap()), "{profiled:?}");
+    assert_eq!(farm.work_off(&node, &job).await.state, JobState::Done);
+    post(&farm, &job, "frames/retry", frames).await.parsed::<Job>(StatusCode::OK).await;
+}

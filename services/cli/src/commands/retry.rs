@@ -15,7 +15,8 @@ Examples:
   forelight retry kitchen --data farm-data
   forelight retry kitchen --frames 0-3,17 --server http://farm:7878 --token-file me.token
 
-A job that failed goes on with all frames that it had left. A job that is done goes on with the named frames, and \
+A job that failed goes on with all frames that it had left; one that failed before it was booked, with its quote. \
+A job that is done goes on with the named frames, and \
 their images are replaced. `forelight status kitchen` says why the job failed.")]
 pub struct Args {
     /// Id of the job. A name works if only one job has it
@@ -42,6 +43,9 @@ pub async fn run(args: Args) -> Result<()> {
     if args.json {
         return output::json(&job);
     }
+    if job.plan_id.is_none() {
+        return output::line(format!("{} ({id}): its quote goes on", job.name));
+    }
     let frames = &request.frames;
     let what =
         if frames.count() == 1 { format!("frame {frames} is") } else { format!("frames {frames} are") };
@@ -52,6 +56,9 @@ pub async fn run(args: Args) -> Result<()> {
 /// shared cache.
 async fn left(client: &Client, id: JobId) -> Result<FrameSet> {
     let job = client.job(id).await.with_context(|| format!("cannot read job {id}"))?;
+    if job.state == JobState::Failed && job.plan_id.is_none() {
+        return Ok(job.frames);
+    }
     let rows = client.frames(id).await.with_context(|| format!("cannot list the frames of job {id}"))?;
     let has_failed = job.state == JobState::Failed;
     let is_left = |state: FrameState| match state {
@@ -61,11 +68,7 @@ async fn left(client: &Client, id: JobId) -> Result<FrameSet> {
     };
     let left = rows.iter().filter(|row| is_left(row.state)).map(|row| row.frame);
     FrameSet::from_frames(left).ok_or_else(|| {
-        let (why, hint) = if has_failed {
-            ("failed before its frames were booked", "submit it again once the reason in its error is mended")
-        } else {
-            ("has no frame that failed", "--frames names frames to render again, finished ones too")
-        };
-        BadInput::new(format!("job {id} {why}")).hint(hint).into()
+        let hint = "--frames names frames to render again, finished ones too";
+        BadInput::new(format!("job {id} has no frame that failed")).hint(hint).into()
     })
 }

@@ -595,8 +595,8 @@ export interface paths {
         put?: never;
         /**
          * Renders frames again, finished ones too, and forgives their failures.
-         * @description A job that is done goes on. A job that failed goes on with all frames that it had left. 409 for a
-         *     cancelled job, and before the frames are booked.
+         * @description A job that is done goes on. A job that failed goes on with all frames that it had left; one that failed before it
+         *     was booked, with its quote. 409 for a cancelled job, and before the frames are booked.
          */
         post: operations["frame_retry"];
         delete?: never;

@@ -4,10 +4,10 @@
 //! again loses its result. Its fencing token grows with the next lease as always, and a late message about
 //! the old result is refused.
 
-use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, Timestamp};
+use forelight_protocol::{AuditAction, FrameSet, Job, JobId, JobState, TaskKind, Timestamp};
 
 use crate::audit::{Deed, note};
-use crate::columns::Id;
+use crate::columns::{Id, Word};
 use crate::database::{Store, Write};
 use crate::division;
 use crate::error::{Result, StoreError};
@@ -35,7 +35,8 @@ struct Row {
 
 impl Store {
     /// Renders these frames of a job again, finished ones too, and forgives their failures. A job that is
-    /// done goes on. A job that failed goes on with all frames that it had left.
+    /// done goes on. A job that failed goes on with all frames that it had left; one that failed before it was
+    /// booked, with its quote.
     ///
     /// A [`StoreError::Conflict`] if the job was cancelled, or has no frames to render yet.
     pub async fn retry_frames(&self, job: JobId, frames: &FrameSet, now: Timestamp) -> Result<Job> {
@@ -45,6 +46,11 @@ impl Store {
             return Err(StoreError::Conflict("the job was cancelled; submit it again".to_owned()));
         }
         check_inputs(&mut write, job).await?;
+        if current.state == JobState::Failed && quote_again(&mut write, &current, now).await? {
+            let going_on = read(write.connection().await?, job).await?;
+            self.commit(write).await?;
+            return Ok(going_on);
+        }
         let rows = rows_of(&mut write, &current).await?;
         if current.state.is_final() {
             // Files of finished frames are replaced.
@@ -126,6 +132,39 @@ impl Store {
         self.commit(write).await?;
         Ok(changed)
     }
+}
+
+/// Goes on with the quote of a job that failed before it was booked. What is measured stays. Returns whether there was
+/// something of it to do.
+async fn quote_again(write: &mut Write, job: &Job, now: Timestamp) -> Result<bool> {
+    let tasks = sqlx::query!(
+        r#"SELECT id AS "id!: Id", kind AS "kind!: Word<TaskKind>" FROM tasks t WHERE job_id = ?1
+           AND kind IN ('preview', 'profile', 'cache_plan') AND state IN ('failed', 'cancelled')
+           AND NOT EXISTS (SELECT 1 FROM tasks r WHERE r.job_id = ?1 AND r.kind = 'render')"#,
+        job.id.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    if tasks.is_empty() {
+        return Ok(false);
+    }
+    check_open_again(write.connection().await?, job, job.frames.count()).await?;
+    let has = |kind: TaskKind| tasks.iter().any(|task| task.kind.0 == kind);
+    let (stage, state) = match has(TaskKind::Preview) {
+        true => ("previewing", JobState::Previewing),
+        false => ("profiling", JobState::Profiling),
+    };
+    let plans_cache = has(TaskKind::CachePlan);
+    for task in &tasks {
+        let waits = plans_cache && task.kind.0 == TaskKind::Profile;
+        begin_again(write, task.id, if waits { "waiting" } else { "ready" }).await?;
+    }
+    run!(write, "UPDATE jobs SET stage = ?, error = NULL, finished_at = NULL WHERE id = ?", stage, job.id.0);
+    job_state(write, job.id, state, None, now);
+    tell(write, job.id, "its quote goes on", now);
+    note(write, Deed::new(AuditAction::FramesRetried, job.id).of_project(&job.project), None::<&()>, now);
+    write.made_work = true;
+    Ok(true)
 }
 
 /// A [`StoreError::Conflict`] if the scene or the profiles of a job were deleted.

@@ -46,8 +46,8 @@ pub(crate) async fn change(
 
 /// Renders frames again, finished ones too, and forgives their failures.
 ///
-/// A job that is done goes on. A job that failed goes on with all frames that it had left. 409 for a
-/// cancelled job, and before the frames are booked.
+/// A job that is done goes on. A job that failed goes on with all frames that it had left; one that failed before it
+/// was booked, with its quote. 409 for a cancelled job, and before the frames are booked.
 #[utoipa::path(post, path = "/v1/jobs/{id}/frames/retry", operation_id = "frame_retry", tag = "jobs",
     params(("id" = JobId, Path)), request_body = FramesRequest,
     responses((status = 200, description = "The job", body = Job), Problems))]

@@ -1,8 +1,8 @@
-// Changing a job's deadline, budget, confidence and priority; and cancelling it.
+// Changing a job's deadline, budget, confidence and priority; going on with its quote; and cancelling it.
 
 import { useState } from "preact/hooks";
 import { cancelJob, changeJob } from "../../actions/jobs";
-import { get } from "../../api/client";
+import { get, post } from "../../api/client";
 import type { AnswersDoc, Job, JobChange } from "../../api/types";
 import { Confirm } from "../../ui/dialog";
 import { clean, clockTime, counted, grouped, money, moneyField, parseMoney } from "../../ui/format";
@@ -173,6 +173,24 @@ function Meaning(props: { job: Job; deadline: string | null; budget: number | nu
         <Waiting>Asking the planner…</Waiting>
       )}
     </>
+  );
+}
+
+/** Tries again what failed of a quote. */
+export function QuoteDialog(props: { job: Job; changed: () => void; close: () => void }) {
+  const { job } = props;
+  return (
+    <Confirm
+      title={`Go on with the quote of ${clean(job.name)}?`}
+      act="Go on"
+      close={props.close}
+      run={async () => {
+        await post("/v1/jobs/{id}/frames/retry", { path: { id: job.id }, body: { frames: job.frames } });
+        props.changed();
+      }}
+    >
+      <p>What failed is tried again. What was measured is kept.</p>
+    </Confirm>
   );
 }
 

@@ -24,7 +24,8 @@ const SIZES = [4, 2, 4];
 
 export function openExr(bytes: Uint8Array): ExrFile {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (view.getUint32(0, true) !== 20000630) throw new Error("This is not an OpenEXR file.");
+  if (view.getUint32(0, true) !== 20000630)
+    throw new Error("The image is not an OpenEXR file, so it names no objects.");
   const flags = view.getUint32(4, true) >>> 8;
   if ((flags & ~4) !== 0)
     throw new Error("This OpenEXR file has tiles or several parts, which the page does not read.");

@@ -11,11 +11,11 @@ import { clean, cpuTime, grouped, maybeInstant, percent } from "../../ui/format"
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Time } from "../../ui/parts";
 import { RescueDialog } from "../tonight/rescue";
-import { CancelDialog, ChangeDialog } from "./change";
+import { CancelDialog, ChangeDialog, QuoteDialog } from "./change";
 
 export function JobHead(props: { job: Job; changed: () => void }) {
   const { job } = props;
-  const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | null>(null);
+  const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | "quote" | null>(null);
   const over = isOver(job.state);
   const close = () => setAsked(null);
   return (
@@ -34,6 +34,11 @@ export function JobHead(props: { job: Job; changed: () => void }) {
               <a class="button primary" href={href(["submit"], { job: job.id })}>
                 Look at the quote
               </a>
+            )}
+            {job.state === "failed" && job.plan_id == null && (
+              <button type="button" class="primary" onClick={() => setAsked("quote")}>
+                Go on with the quote…
+              </button>
             )}
             {neverEnds(job.state) && (
               <a class="button" href={href(["submit"], { again: job.id })}>
@@ -92,6 +97,7 @@ export function JobHead(props: { job: Job; changed: () => void }) {
         </ul>
       )}
       {asked === "change" && <ChangeDialog job={job} changed={props.changed} close={close} />}
+      {asked === "quote" && <QuoteDialog job={job} changed={props.changed} close={close} />}
       {asked === "cancel" && <CancelDialog job={job} changed={props.changed} close={close} />}
       {asked === "rescue" && (
         <RescueDialog jobId={job.id} name={job.name} rescue={job.promise?.rescue ?? null} close={close} />
