@@ -1,7 +1,7 @@
 //! Room on the disk for uploads, reserved before they take it.
 //!
 //! Hazard: unfinished uploads could fill the disk, and the farm would then hand out no task. So an upload is
-//! accepted only if all of it fits beside all others that were accepted, and leaves what running work needs.
+//! accepted only if all of it fits beside all others that were accepted, and leaves what the farm needs.
 
 use std::sync::Arc;
 
@@ -49,7 +49,7 @@ impl Reserved {
         }
         let [bytes, leave] = [bytes, leave].map(|bytes| format!("{} MiB", bytes.div_ceil(1 << 20)));
         let reason = format!(
-            "the disk has no room for {bytes} beside other uploads and the {leave} that running work needs"
+            "the disk has no room for {bytes} beside other uploads and the {leave} that the farm needs"
         );
         Err(ApiError::new(ProblemKind::StorageFull, reason))
     }

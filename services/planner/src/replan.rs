@@ -228,7 +228,7 @@ fn repair(state: &mut State) {
 }
 
 /// Places jobs without a deadline, the highest priority first. Frames of others without a deadline make way for
-/// jobs of higher priority. Where their time stays free, they go back to it.
+/// jobs of higher priority, if they come before the end of these. Where their time stays free, they go back to it.
 fn place_by_priority(state: &mut State, open: &[usize]) {
     let problem = state.problem;
     let rank = |job: usize| Reverse(problem.jobs[job].job.priority);
@@ -238,11 +238,31 @@ fn place_by_priority(state: &mut State, open: &[usize]) {
     };
     open.iter().for_each(|&job| wait(&mut waiting, job));
     while let Some((level, group)) = waiting.pop_first() {
-        let is_below = |&job: &usize| problem.jobs[job].job.deadline.is_none() && rank(job) > level;
+        let group: Vec<usize> = group.into_values().collect();
+        let before: Vec<usize> = group.iter().map(|&job| state.placed[job].len()).collect();
+        in_turns(state, &group);
+        // Only what comes before the end of what was placed just now can be in its way.
+        let placed = group.iter().zip(&before).flat_map(|(&job, &count)| &state.placed[job][count..]);
+        let Some(end) = placed.map(|placed| placed.end).max() else { continue };
+        let classes: BTreeSet<usize> =
+            group.iter().flat_map(|&job| problem.jobs[job].classes.iter().copied()).collect();
+        let is_in_the_way =
+            |placed: &Placed| placed.start < end && classes.contains(&problem.class_of[placed.node]);
+        let is_below = |&job: &usize| {
+            problem.jobs[job].job.deadline.is_none()
+                && rank(job) > level
+                && state.placed[job]
+                    .iter()
+                    .any(|placed| !placed.task.is_shared_cache() && is_in_the_way(placed))
+        };
         let below: Vec<usize> = (0..problem.jobs.len()).filter(is_below).collect();
+        if below.is_empty() {
+            continue;
+        }
+        group.iter().zip(before).for_each(|(&job, count)| state.unbook_after(job, count));
         let lifted: Vec<(usize, Vec<Placed>)> =
-            below.into_iter().map(|job| (job, lift(state, job, |_| true))).collect();
-        in_turns(state, &group.into_values().collect::<Vec<usize>>());
+            below.into_iter().map(|job| (job, lift(state, job, is_in_the_way))).collect();
+        in_turns(state, &group);
         for (job, places) in lifted {
             put_back(state, job, &places);
             if is_open(state, job) {

@@ -47,8 +47,8 @@ pub struct JobRequest {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub video: Option<VideoRequest>,
     /// Whether the noise of the images is removed by Open Image Denoise, and the error that is left is measured.
-    /// Nodes without it get only the preview. Only for forelight's own renderer; cannot be combined with `within`
-    /// and `error_target`.
+    /// Profiles and frames of the job go only to nodes that have it. Only for forelight's own renderer; cannot be
+    /// combined with `within` and `error_target`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub denoise: bool,
     /// Number of pixels to profile per profiled frame, 16 to 1,000,000.
@@ -83,7 +83,8 @@ pub struct JobRequest {
     /// Probability with which the plan must keep deadline and budget.
     #[serde(default)]
     pub confidence: Confidence,
-    /// Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+    /// Priority, -1000 to 1000. Of jobs with the same deadline, and of those without one, the greatest goes first. A job of
+    /// lower priority may be moved past its deadline for one that would miss its own.
     #[serde(default)]
     #[schema(default = 0, minimum = -1000, maximum = 1000)]
     pub priority: i32,
@@ -160,7 +161,8 @@ pub struct JobChange {
     /// Probability with which the plan must keep deadline and budget.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<Confidence>,
-    /// Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+    /// Priority, -1000 to 1000. Of jobs with the same deadline, and of those without one, the greatest goes first. A job of
+    /// lower priority may be moved past its deadline for one that would miss its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = -1000, maximum = 1000)]
     pub priority: Option<i32>,
@@ -334,7 +336,7 @@ pub struct Job {
     pub hold: bool,
     /// Why the job failed. Absent if it did not.
     pub error: Option<String>,
-    /// What failed of it and is tried again. Absent in lists, and if nothing did.
+    /// What failed of it and is tried again. Only in the answer of `GET /v1/jobs/{id}`, and if something did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub failing: Option<Failing>,
     /// When it was submitted.

@@ -60,9 +60,9 @@ impl OutputPattern {
         pieces(&self.0).unwrap_or_default().iter().map(|piece| piece.of(of)).collect()
     }
 
-    /// Whether its files are in a folder of the project.
-    pub fn is_of_project(&self) -> bool {
-        self.0.starts_with("{project}/")
+    /// Whether its files are in a folder that no other project has.
+    pub fn is_of_project(&self, project: &str) -> bool {
+        self.0.starts_with("{project}/") && name(project) == project
     }
 
     /// Whether its files are the pictures for viewing.

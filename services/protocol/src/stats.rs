@@ -143,8 +143,8 @@ pub struct RenderStats {
     /// ambient. Loading and building are not included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub work_by_ray: Option<Rays>,
-    /// CPU time over all threads, in seconds. It includes removing the noise and measuring
-    /// what is left of it. On the farm it also includes encoding the pictures and the preview.
+    /// CPU time over all threads, in seconds. It includes removing the noise and measuring what is left of it. On
+    /// the farm it also includes encoding the pictures and the preview.
     pub cpu_seconds: f64,
     /// Costs that the process paid once for the shot. Not included in the work and CPU time of any frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]

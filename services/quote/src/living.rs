@@ -248,11 +248,11 @@ mod tests {
     }
 
     #[test]
-    fn a_delay_counts_from_a_fiftieth_of_the_booked_time_and_from_a_second() {
+    fn a_delay_counts_from_a_fiftieth_of_the_booked_time_and_from_ten_seconds() {
         let at = |seconds: i64| Some(Timestamp::from_micros(seconds * 1_000_000));
         assert_eq!(delay_that_counts(at(0), at(1000)), 20_000_000);
-        assert_eq!(delay_that_counts(at(0), at(1)), LEAST_DELAY);
-        assert_eq!(delay_that_counts(None, at(1000)), LEAST_DELAY);
+        assert_eq!(delay_that_counts(at(0), at(1)), 10_000_000);
+        assert_eq!(delay_that_counts(None, at(1000)), 10_000_000);
     }
 
     #[test]

@@ -69,7 +69,7 @@ pub struct Agent {
 pub enum AgentError {
     /// The service refused the token or the registration.
     #[error(
-        "the service at {address} refused this worker: its node was removed, or its token is wrong, revoked or expired"
+        "the service at {address} refused this worker; where the token is not known, the node was removed, or the token expired or is wrong"
     )]
     Refused {
         /// Address of the service.

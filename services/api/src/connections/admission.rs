@@ -3,8 +3,8 @@
 //! Everybody may connect, so what a connection costs must not be what others lack. Each connection has a
 //! *standing*: a stranger's has shown no valid token yet, a worker's has shown one of a worker. When all seats
 //! are taken, the quiet connection gives way that has the lowest standing and was quiet for longest. One that a
-//! request runs on is not quiet. If none is quiet, a stranger's oldest request is ended: those of strangers are
-//! short, unless they are there to hold a seat. Known callers' requests, and workers, never give way to others.
+//! request runs on is not quiet. If none is quiet, a stranger's oldest request is ended if it has run for [`PATIENCE`]:
+//! those of strangers are short, unless they are there to hold a seat. Known callers' requests, and workers, never give way to others.
 //! So whoever comes next, such as a health check, is let in, and nobody is kept out by connections or requests
 //! that were begun to be held.
 //!
@@ -14,10 +14,14 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::net::IpAddr;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use forelight_protocol::Role;
 use parking_lot::Mutex;
 use tokio_util::sync::CancellationToken;
+
+/// How long a stranger's request may run while others want its seat.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// What a connection has shown of its caller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -42,6 +46,8 @@ pub(crate) struct Admission {
     most: usize,
     /// Of these, strangers of one address.
     most_of_one: usize,
+    /// How long a stranger's request runs before it may be ended.
+    patience: Duration,
     seats: Mutex<Seats>,
 }
 
@@ -72,6 +78,8 @@ struct Seat {
     standing: Standing,
     requests: u32,
     since: u64,
+    /// The same by the clock.
+    since_time: Instant,
     gives_way: CancellationToken,
 }
 
@@ -97,7 +105,7 @@ impl Seats {
         let was_quiet = seat.requests == 0;
         change(&mut seat);
         if was_quiet != (seat.requests == 0) {
-            seat.since = turn;
+            (seat.since, seat.since_time) = (turn, Instant::now());
         }
         self.sit(number, seat);
     }
@@ -133,33 +141,42 @@ impl Seats {
         Some(seat)
     }
 
-    /// Ends the first of these connections. Whether there was one.
-    fn end(&mut self, first: Option<Place>) -> bool {
-        let ended = first.and_then(|(.., number)| self.leave(number));
+    /// Ends the first of these connections, unless it is busy and not for long enough. Whether there was one.
+    fn end(&mut self, first: Option<Place>, patience: Duration) -> bool {
+        let may_end = |&(yields, _, number): &Place| {
+            let seat = self.taken.get(&number);
+            yields < Yields::BusyStranger || seat.is_some_and(|seat| seat.since_time.elapsed() >= patience)
+        };
+        let ended = first.filter(may_end).and_then(|(.., number)| self.leave(number));
         ended.inspect(|seat| seat.gives_way.cancel()).is_some()
     }
 }
 
 impl Admission {
     pub fn new(most: usize) -> Arc<Self> {
-        let most = most.max(4);
-        Arc::new(Self { most, most_of_one: most / 4, seats: Mutex::default() })
+        Self::with_patience(most, PATIENCE)
     }
 
-    /// A seat for a new connection. `None` if all others are known callers' at work, or those of workers.
+    fn with_patience(most: usize, patience: Duration) -> Arc<Self> {
+        let most = most.max(4);
+        Arc::new(Self { most, most_of_one: most / 4, patience, seats: Mutex::default() })
+    }
+
+    /// A seat for a new connection. `None` if all others are known callers' at work, strangers' that began just now, or
+    /// those of workers.
     pub fn admit(self: &Arc<Self>, peer: IpAddr) -> Option<Guest> {
         let mut seats = self.seats.lock();
         if let Some((count, yielding)) = seats.strangers.get(&peer)
             && *count >= self.most_of_one
         {
             let first = yielding.first().copied();
-            if !seats.end(first) {
+            if !seats.end(first, self.patience) {
                 return None;
             }
         }
         if seats.taken.len() >= self.most {
             let first = seats.yielding.first().copied();
-            if !seats.end(first) {
+            if !seats.end(first, self.patience) {
                 return None;
             }
         }
@@ -171,6 +188,7 @@ impl Admission {
             standing: Standing::Stranger,
             requests: 0,
             since: number,
+            since_time: Instant::now(),
             gives_way: gives_way.clone(),
         };
         seats.sit(number, seat);
@@ -181,7 +199,7 @@ impl Admission {
     pub fn make_room(&self) -> bool {
         let mut seats = self.seats.lock();
         let first = seats.yielding.first().copied();
-        seats.end(first)
+        seats.end(first, self.patience)
     }
 }
 
@@ -259,7 +277,7 @@ mod tests {
 
     #[test]
     fn who_has_shown_a_token_stays_before_strangers_and_workers_and_known_requests_never_give_way() {
-        let admission = Admission::new(4);
+        let admission = Admission::with_patience(4, Duration::ZERO);
         let [known, worker, busy, stranger] = [1, 2, 3, 4].map(|n| admission.admit(address(n)).unwrap());
         known.request().show(Standing::from(Role::Viewer));
         worker.request().show(Standing::from(Role::Worker));
@@ -286,7 +304,7 @@ mod tests {
 
     #[test]
     fn strangers_of_one_address_give_way_to_each_other_and_to_nobody_elses_harm() {
-        let admission = Admission::new(16);
+        let admission = Admission::with_patience(16, Duration::ZERO);
         let other = admission.admit(address(1)).unwrap();
         let own: Vec<Guest> = (0..6).map(|_| admission.admit(address(2)).unwrap()).collect();
         assert_eq!(own.iter().map(gone).collect::<Vec<_>>(), [true, true, false, false, false, false]);
@@ -299,5 +317,15 @@ mod tests {
         requests.iter().for_each(|request| request.show(Standing::Known));
         let more: Vec<Guest> = (0..3).map(|_| admission.admit(address(2)).unwrap()).collect();
         assert!(!gone(&next) && !more.iter().any(gone));
+    }
+
+    #[test]
+    fn a_strangers_request_is_not_ended_before_it_could_show_whose_it_is() {
+        let admission = Admission::new(4);
+        let guests: Vec<Guest> = (0..4).map(|n| admission.admit(address(n)).unwrap()).collect();
+        let requests: Vec<RequestSeat> = guests.iter().map(Guest::request).collect();
+        assert!(admission.admit(address(9)).is_none() && !guests.iter().any(gone));
+        drop(requests);
+        assert!(admission.admit(address(9)).is_some());
     }
 }

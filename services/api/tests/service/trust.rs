@@ -63,6 +63,8 @@ async fn a_result_that_is_not_possible_is_refused_with_the_place_and_the_reason_
     for sample in &mut made_up.samples {
         sample.cpu_nanos = 1;
     }
+    // What is forecast was not spent.
+    made_up.fixed.denoise.cpu_nanos = 3_600_000_000_000_000;
     made_up.artifacts.preview_png = Some(farm.artifact(b"<!DOCTYPE html>").await);
     let refused = farm.report(&profile, TaskResult::Profile(made_up)).await;
     let refused = refused.problem(ProblemKind::ImplausibleResult).await;

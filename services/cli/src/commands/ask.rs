@@ -9,7 +9,7 @@ use forelight_client::Client;
 use forelight_protocol::words::counted;
 use forelight_protocol::{
     AnswersDoc, CacheMode, Integrator, Job, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
-    RenderSettings, Timestamp,
+    RenderSettings, Timestamp, Waits,
 };
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::output;
@@ -114,9 +114,6 @@ fn heading(job: &Job, found: &AnswersDoc, (now, at): (Timestamp, &dyn Fn(Timesta
     if now.micros_since(found.at) >= OLD {
         text += &format!("as the farm stood at {}\n", at(found.at));
     }
-    if let Some(probability) = found.probability {
-        text += &format!("in time with a probability of {}\n", probability_in_words(probability));
-    }
     if let Some(waits) = &job.waits {
         text += &format!("{}\n", waits.because);
     }
@@ -125,6 +122,13 @@ fn heading(job: &Job, found: &AnswersDoc, (now, at): (Timestamp, &dyn Fn(Timesta
         if let Some(rescue) = &promise.rescue {
             text += &format!("cheapest rescue: {}\n", rescue.words);
         }
+    }
+    let is_held = job.waits.as_ref().is_some_and(Waits::is_for_money);
+    if is_held {
+        text += "\nIf the budget held it no longer:\n";
+    }
+    if let Some(probability) = found.probability {
+        text += &format!("in time with a probability of {}\n", probability_in_words(probability));
     }
     text
 }

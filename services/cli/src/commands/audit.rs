@@ -9,6 +9,8 @@ use forelight_terminal::options::duration;
 use forelight_terminal::output;
 use forelight_terminal::quantities::clock;
 use forelight_terminal::table::{Align, Table};
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -22,7 +24,8 @@ Examples:
   forelight audit --export audit.csv --since 365d --data farm-data
 
 Needs an operator's token. Entries never change. An export has all entries since then, oldest first: `.csv` for \
-spreadsheets, `.ndjson` for programs.")]
+spreadsheets, `.ndjson` for programs. Nodes, and what was made within the shown time, are named; --json has all ids \
+and all that was asked for.")]
 pub struct Args {
     /// Show only what this person or service did, by the name of the token
     #[arg(long, value_name = "NAME")]
@@ -79,10 +82,35 @@ pub async fn run(args: Args) -> Result<()> {
     let filters: Vec<_> = filters.chain(since).collect();
     let client = connect(&args.connection)?;
     let entries = client.newest_audit(&filters, args.most).await.context("cannot read the audit")?;
-    if args.json { output::json(&entries) } else { output::print(&report(&entries, now)) }
+    if args.json {
+        return output::json(&entries);
+    }
+    let nodes = client.nodes().await.context("cannot list the nodes")?;
+    let mut names: BTreeMap<String, String> =
+        nodes.into_iter().map(|node| (node.id.to_string(), node.name)).collect();
+    // Whoever makes something names it.
+    for entry in &entries {
+        if let Some(name) = entry.detail.as_ref().and_then(|asked| asked.get("name")?.as_str()) {
+            names.insert(entry.target.clone(), name.to_owned());
+        }
+    }
+    output::print(&report(&entries, &names, now))
 }
 
-fn report(entries: &[AuditEntry], now: Timestamp) -> String {
+/// Most characters of what was asked for, in the table.
+const MOST_ASKED: usize = 60;
+
+/// What was asked for, in a few words such as `drain true, price_per_hour 5`.
+fn asked_for(detail: &Value) -> String {
+    let plain = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let fields = detail.as_object().into_iter().flatten().filter(|(_, value)| !value.is_null());
+    let words: Vec<String> = fields.map(|(name, value)| format!("{name} {}", plain(value))).collect();
+    let text = words.join(", ");
+    let cut: String = text.chars().take(MOST_ASKED).collect();
+    if cut.len() < text.len() { cut + "…" } else { cut }
+}
+
+fn report(entries: &[AuditEntry], names: &BTreeMap<String, String>, now: Timestamp) -> String {
     if entries.is_empty() {
         return "no entries match\n".into();
     }
@@ -93,6 +121,7 @@ fn report(entries: &[AuditEntry], now: Timestamp) -> String {
         ("did", Align::Left),
         ("project", Align::Left),
         ("with", Align::Left),
+        ("asked for", Align::Left),
     ]);
     for entry in entries {
         table.row([
@@ -101,8 +130,26 @@ fn report(entries: &[AuditEntry], now: Timestamp) -> String {
             entry.from.clone().unwrap_or_else(|| "-".into()),
             entry.action.to_string(),
             entry.project.clone().unwrap_or_else(|| "-".into()),
-            entry.target.clone(),
+            names.get(&entry.target).unwrap_or(&entry.target).clone(),
+            entry.detail.as_ref().map_or_else(String::new, asked_for),
         ]);
     }
     table.render()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn what_was_asked_for_is_short() {
+        assert_eq!(
+            asked_for(&json!({"drain": true, "speed": null, "name": "rack-1"})),
+            "drain true, name rack-1"
+        );
+        let long = asked_for(&json!({"bundle": "x".repeat(100)}));
+        assert!(long.ends_with("x…") && long.chars().count() == MOST_ASKED + 1, "{long}");
+        assert_eq!(asked_for(&json!("text")), "");
+    }
 }

@@ -48,7 +48,8 @@ struct Terms {
     /// Quantile of the forecast that the booking uses
     #[arg(long, value_name = "LEVEL")]
     confidence: Option<Confidence>,
-    /// Priority among jobs with the same deadline, -1000 to 1000. A larger number goes first
+    /// Priority, -1000 to 1000. Of jobs with the same deadline, or without one, the largest goes first. It may move
+    /// others past their deadlines
     #[arg(long, value_name = "NUMBER", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: Option<i32>,
 }

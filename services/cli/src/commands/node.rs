@@ -10,7 +10,7 @@ use forelight_protocol::{
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::options::duration;
-use forelight_terminal::output;
+use forelight_terminal::output::{self, Bars};
 use forelight_terminal::quantities::{clock, money, parse_money, seconds};
 use forelight_terminal::table::{Align, Table};
 use std::time::Duration;
@@ -122,10 +122,6 @@ fn or_default<T>(text: &str, parse: impl Fn(&str) -> Result<T, String>) -> Resul
 impl Args {
     /// The change of `node` that the flags ask for. It is empty if they ask for none.
     fn change(&self, node: &Node) -> Result<NodeChange> {
-        if self.order == Some(Order::Back) && node.set_aside.is_none() {
-            let reason = format!("{} is not set aside, so `back` changes nothing", node.name);
-            return Err(BadInput::new(reason).hint("`resume` ends a drain or a pause").into());
-        }
         let mut change = self.order.map_or_else(NodeChange::default, Order::change);
         let wrong = |flag: &str, reason: String| BadInput::new(format!("--{flag}: {reason}"));
         if let Some(text) = &self.schedule {
@@ -201,6 +197,10 @@ pub async fn run(args: Args) -> Result<()> {
                 } else {
                     output::line(format!("{name} is removed"))
                 };
+            }
+            if args.order == Some(Order::Back) && node.set_aside.is_none() {
+                let note = "it is not set aside, so `back` changes nothing; `resume` ends a drain or a pause";
+                Bars::new(args.json).note(format!("{name}: {note}"));
             }
             let change = args.change(node)?;
             if change == NodeChange::default() {

@@ -7,7 +7,7 @@ use crate::connection::connect;
 use crate::named::{JOBS, job_id};
 use anyhow::{Context, Result, bail};
 use forelight_client::Client;
-use forelight_protocol::{ForecastDoc, FrameSet, Job, JobState, LiveForecast, Timestamp, Verdict};
+use forelight_protocol::{ForecastDoc, FrameSet, Job, JobState, LiveForecast, Timestamp, Verdict, Waits};
 use forelight_terminal::failure::StoppedWatching;
 use forelight_terminal::interrupt::Interrupt;
 use forelight_terminal::options::duration;
@@ -252,6 +252,9 @@ fn ready(job: &Job, now: Timestamp) -> String {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
             return format!("not known before the job is booked{deadline}");
         }
+        (_, _, None) if job.waits.as_ref().is_some_and(Waits::is_for_money) => {
+            return "not known while a budget holds it".to_owned();
+        }
         (_, _, None) => return "unknown: the current plan books nothing of the job".to_owned(),
     };
     let against = job.deadline.map_or(String::new(), |deadline| {
@@ -284,7 +287,7 @@ pub(super) mod tests {
     use super::*;
     use forelight_protocol::{
         Booked, Confidence, LiveFigure, Money, MoneyQuantiles, PlanId, Promise, Quantiles,
-        RenderSettingsRequest, SceneDigest, SceneSummary, WaitKind, Waits,
+        RenderSettingsRequest, SceneDigest, SceneSummary, WaitKind,
     };
     use serde_json::json;
 

@@ -3346,7 +3346,8 @@ export interface components {
             deadline?: components["schemas"]["Timestamp"] | null;
             /**
              * Format: int32
-             * @description Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+             * @description Priority, -1000 to 1000. Of jobs with the same deadline, and of those without one, the greatest goes first. A job of
+             *     lower priority may be moved past its deadline for one that would miss its own.
              */
             priority?: number | null;
         };
@@ -3456,8 +3457,8 @@ export interface components {
             confidence?: components["schemas"]["Confidence"];
             deadline?: components["schemas"]["Timestamp"] | null;
             /** @description Whether the noise of the images is removed by Open Image Denoise, and the error that is left is measured.
-             *     Nodes without it get only the preview. Only for forelight's own renderer; cannot be combined with `within`
-             *     and `error_target`. */
+             *     Profiles and frames of the job go only to nodes that have it. Only for forelight's own renderer; cannot be
+             *     combined with `within` and `error_target`. */
             denoise?: boolean;
             /** @description Whether frames are divided into parts that several nodes render at the same time. */
             division?: components["schemas"]["Division"];
@@ -3475,7 +3476,8 @@ export interface components {
             output?: components["schemas"]["OutputPattern"] | null;
             /**
              * Format: int32
-             * @description Priority among jobs with the same deadline, -1000 to 1000. The greatest goes first.
+             * @description Priority, -1000 to 1000. Of jobs with the same deadline, and of those without one, the greatest goes first. A job of
+             *     lower priority may be moved past its deadline for one that would miss its own.
              * @default 0
              */
             priority: number;
@@ -5308,8 +5310,8 @@ export interface components {
             cache_records?: number[];
             /**
              * Format: double
-             * @description CPU time over all threads, in seconds. It includes removing the noise and measuring
-             *     what is left of it. On the farm it also includes encoding the pictures and the preview.
+             * @description CPU time over all threads, in seconds. It includes removing the noise and measuring what is left of it. On
+             *     the farm it also includes encoding the pictures and the preview.
              */
             cpu_seconds: number;
             denoised?: components["schemas"]["DenoisedStats"] | null;

@@ -67,8 +67,8 @@ impl Store {
             return Ok(current);
         }
         set_terms(&mut write, job, &changed).await?;
-        if let Some(priority) = changed.priority {
-            let_ahead(&mut write, &current, priority).await?;
+        if let Some(priority) = changed.priority.filter(|_| current.state.is_booked()) {
+            let_ahead(&mut write, job, priority).await?;
         }
         rebook_rates(&mut write, job).await?;
         let what = in_words(&changed);
@@ -113,16 +113,14 @@ async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<
     Ok(())
 }
 
-/// Has jobs placed anew that go before a job whose priority was higher than theirs, and is not any more. Only
-/// those without a deadline go by priority alone.
-async fn let_ahead(write: &mut Write, job: &Job, priority: i32) -> Result<()> {
+/// Has jobs without a deadline placed anew that wait behind this one, if their priority is higher than its new one.
+async fn let_ahead(write: &mut Write, job: JobId, priority: i32) -> Result<()> {
     run!(
         write,
         "UPDATE jobs SET terms = terms + 1 WHERE state IN ('booked', 'rendering') AND deadline_at IS NULL \
-         AND priority > ? AND priority <= ? AND id <> ?",
+         AND priority > ? AND EXISTS (SELECT 1 FROM json_each(outlook, '$.waits.behind') WHERE value = ?)",
         priority,
-        job.priority,
-        job.id.0
+        job.to_string()
     );
     Ok(())
 }

@@ -16,6 +16,8 @@ struct Row {
     not_before: i64,
     is_ready: bool,
     node: Option<String>,
+    /// Whether the last attempt ended without a word of its worker.
+    is_lost: bool,
     tasks: u32,
 }
 
@@ -29,6 +31,8 @@ impl Store {
                       t.error, t.not_before AS "not_before!: i64", t.state = 'ready' AS "is_ready!: bool",
                       (SELECT n.name FROM leases l JOIN nodes n ON n.id = l.node_id WHERE l.task_id = t.id
                        AND l.state IN ('failed', 'expired') ORDER BY l.ended_at DESC, l.id DESC LIMIT 1) AS "node?",
+                      ifnull((SELECT l.state = 'expired' FROM leases l WHERE l.task_id = t.id
+                       AND l.state IN ('failed', 'expired') ORDER BY l.ended_at DESC, l.id DESC LIMIT 1), 1) AS "is_lost!: bool",
                       count(*) OVER () AS "tasks!: u32"
                FROM tasks t INDEXED BY tasks_failing
                WHERE t.job_id = ? AND t.state IN ('waiting', 'ready', 'leased') AND (t.failures > 0 OR t.expiries > 1)
@@ -61,7 +65,7 @@ fn words(row: &Row) -> String {
     };
     let last = if row.attempts == 1 { "" } else { ", last" };
     let node = row.node.as_ref().map_or(String::new(), |node| format!("{last} on {node}"));
-    let error = row.error.as_deref().unwrap_or("its worker was lost");
+    let error = row.error.as_deref().filter(|_| !row.is_lost).unwrap_or("its worker was lost");
     let others = match row.tasks.saturating_sub(1) {
         0 => String::new(),
         others => format!("; so did {}", counted(others, "other task")),

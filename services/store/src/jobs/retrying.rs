@@ -31,6 +31,8 @@ struct Row {
     state: String,
     /// Whether a person took it out of the job.
     dropped: bool,
+    /// Whether its files are kept.
+    has_files: bool,
 }
 
 impl Store {
@@ -52,10 +54,13 @@ impl Store {
             return Ok(going_on);
         }
         let rows = rows_of(&mut write, &current).await?;
+        let is_left = |row: &Row| !row.dropped && ["failed", "cancelled"].contains(&row.state.as_str());
+        let is_again =
+            |row: &Row| frames.contains(row.frame) || is_left(row) && current.state == JobState::Failed;
         if current.state.is_final() {
-            // Files of finished frames are replaced.
-            let unfinished = rows.iter().filter(|row| row.state != "done").count() as u64;
-            check_open_again(write.connection().await?, &current, unfinished).await?;
+            // Files that are there are replaced.
+            let new = rows.iter().filter(|row| is_again(row) && !row.has_files).count() as u64;
+            check_open_again(write.connection().await?, &current, new).await?;
         }
         take_all_back(&mut write, asked(&rows, frames), now).await?;
         for row in asked(&rows, frames) {
@@ -68,9 +73,7 @@ impl Store {
         let shared_cache = parts::progress(write.connection().await?, job).await?;
         let state = if shared_cache.is_some_and(|cache| !cache.ready) { "waiting" } else { "ready" };
         for row in &rows {
-            let is_asked = frames.contains(row.frame);
-            let is_left = !row.dropped && ["failed", "cancelled"].contains(&row.state.as_str());
-            if is_asked || is_left && current.state == JobState::Failed {
+            if is_again(row) {
                 let is_divided = division::begin_again(&mut write, job, row.frame, state, now).await?;
                 begin_again(&mut write, row.task, if is_divided { "waiting" } else { state }).await?;
             }
@@ -189,7 +192,8 @@ async fn check_inputs(write: &mut Write, job: JobId) -> Result<()> {
 async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
     let rows = sqlx::query_as!(
         Row,
-        r#"SELECT t.frame AS "frame!", t.id AS task, t.state, f.dropped FROM tasks t
+        r#"SELECT t.frame AS "frame!", t.id AS task, t.state, f.dropped,
+                  f.artifacts IS NOT NULL AS "has_files!: bool" FROM tasks t
            JOIN frames f ON f.job_id = t.job_id AND f.frame = t.frame WHERE t.job_id = ? AND t.kind = 'render'
            AND t.frame IS NOT NULL ORDER BY t.frame"#,
         job.id.0
@@ -198,7 +202,9 @@ async fn rows_of(write: &mut Write, job: &Job) -> Result<Vec<Row>> {
     .await?;
     if rows.is_empty() {
         let reason = match job.state {
-            JobState::Failed => "the job failed before it was booked; submit it again".to_owned(),
+            JobState::Failed => {
+                "the job has no quote, and nothing of it can be tried again; submit it again".to_owned()
+            }
             state => format!("the job is {state}: it has no frames to render yet"),
         };
         return Err(StoreError::Conflict(reason));

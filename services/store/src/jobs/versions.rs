@@ -33,13 +33,17 @@ pub(crate) async fn choose(write: &mut Write, job: JobId, now: Timestamp) -> Res
 
 /// Gives jobs another version if no node has theirs any more. Silence counts from the start of the service.
 pub(crate) async fn replace_lost(write: &mut Write, up_since: Timestamp, now: Timestamp) -> Result<()> {
-    // Jobs are read only if a version has no node that was heard of lately, which is rare.
+    // Jobs are read only if a version has no node that was heard of lately, which is rare. A job that must wait for a
+    // denoiser gets no other version by it.
     let suspects = sqlx::query_scalar!(
         r#"SELECT EXISTS (SELECT 1 FROM jobs j
                WHERE j.state IN ('previewing', 'profiling', 'quoted', 'booked', 'rendering') AND j.rendered_by IS NOT NULL
+               AND (NOT j.denoise OR EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) r
+                   WHERE r.value = 'forelight' || ?1 AND n.removed_at IS NULL AND NOT n.drain AND n.set_aside IS NULL
+                   AND n.last_seen_at >= ?2))
                AND NOT EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) r
-                   WHERE r.value = 'forelight ' || (j.rendered_by ->> 'version') || iif(j.denoise, ?, '')
-                   AND n.removed_at IS NULL AND NOT n.drain AND n.set_aside IS NULL AND n.last_seen_at >= ?)) AS "some!: bool""#,
+                   WHERE r.value = 'forelight ' || (j.rendered_by ->> 'version') || iif(j.denoise, ?1, '')
+                   AND n.removed_at IS NULL AND NOT n.drain AND n.set_aside IS NULL AND n.last_seen_at >= ?2)) AS "some!: bool""#,
         WITH_DENOISER,
         now.plus_micros(-nodes::LOST).micros()
     )

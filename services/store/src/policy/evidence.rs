@@ -146,7 +146,8 @@ fn claims(result: &TaskResult) -> Vec<Claim> {
 
 fn profile(result: &ProfileResult) -> Vec<Claim> {
     const AT: &str = "/result/profile";
-    let FixedCosts { load, build, plan, write, denoise, .. } = result.fixed;
+    // What denoising will cost is a forecast for the whole image: nobody has spent it.
+    let FixedCosts { load, build, plan, write, denoise: _, plan_rays: _ } = result.fixed;
     let samples = result.samples.iter().map(|sample| (sample.cpu_nanos, sample.work));
     let shared = result.shared_samples.iter().map(|sample| (sample.cpu_nanos, sample.work));
     let records = result.cache_samples.iter().chain(&result.shared_cache_samples);
@@ -158,7 +159,6 @@ fn profile(result: &ProfileResult) -> Vec<Claim> {
         sum(format!("{AT}/cache_samples"), records),
         spent(&format!("{AT}/fixed/plan"), plan),
         spent(&format!("{AT}/fixed/write"), write),
-        spent(&format!("{AT}/fixed/denoise"), denoise),
     ];
     // A scene that stays open was loaded for an earlier task.
     let opened = [("load", load), ("build", build)];

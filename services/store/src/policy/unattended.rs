@@ -28,7 +28,7 @@ pub(crate) fn why_nobody_works(nodes: &[Node], needs: Option<&Needs>) -> Option<
         "waits because no worker has registered; `forelight worker` starts one".to_owned()
     } else if let (true, Some(needs)) = (kept_by.is_empty(), needs) {
         format!(
-            "waits because no node has {needs}: install it on a worker's machine and start the worker again"
+            "waits because no node has {needs}: install what is missing on a worker's machine and start the worker again"
         )
     } else {
         let counts: Vec<String> = kept_by.iter().map(|(by, count)| format!("{count} {by}")).collect();

@@ -137,9 +137,13 @@ fn check_delivery(app: &App, caller: &Principal, request: &JobRequest) -> ApiRes
             "the service has no output root: leave this out, or start the service with --output-root";
         return Err(ApiError::invalid("/output", reason));
     }
-    if request.output.as_ref().is_some_and(|output| !caller.reaches_all() && !output.is_of_project()) {
-        let reason = "begin the pattern with {project}/: this token reaches some projects only, and images must \
-                      not replace those of others";
+    if request
+        .output
+        .as_ref()
+        .is_some_and(|output| !caller.reaches_all() && !output.is_of_project(&request.project))
+    {
+        let reason = "begin the pattern with {project}/, and name the project by letters, digits, `-`, `_`, `.` and \
+                      spaces: this token reaches some projects only, and images must not replace those of others";
         return Err(ApiError::invalid("/output", reason));
     }
     if let Division::Into(PartCount(parts)) = request.division

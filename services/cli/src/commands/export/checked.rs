@@ -8,7 +8,7 @@ use crate::commands::cache::NO_USE_FOR_A_CACHE;
 use anyhow::Result;
 use forelight_protocol::words::counted;
 use forelight_protocol::{
-    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings,
+    CacheMode, ForecastDoc, FrameSet, JobSettings, ProcessCosts, QuotedShot, RenderSettings, Spent,
 };
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::quantities::{money, seconds};
@@ -151,6 +151,12 @@ fn check_quoted(quote: &ForecastDoc, source: &Source) -> Result<()> {
     if *scene != source.digest {
         let why = "it is of another scene, or of an earlier version of this one";
         return Err(BadInput::new(format!("--forecast: {why}")).hint(hint).into());
+    }
+    if quote.fixed.is_some_and(|fixed| fixed.denoise != Spent::default()) {
+        let why = "it includes removing the noise of images, which exported steps leave in";
+        return Err(BadInput::new(format!("--forecast: {why}"))
+            .hint("make the quote without --denoise")
+            .into());
     }
     let differences = match (settings, &source.settings) {
         (JobSettings::Own(asked), JobSettings::Own(settings)) => {

@@ -144,7 +144,7 @@ function Row(props: { node: Node; open: (id: string) => void; changed: (node: No
             <Act
               busy={busy}
               press={() => void order({ drain: !node.drain })}
-              label={`${node.drain ? "End the drain" : "Drain"}: ${clean(node.name)}`}
+              label={`${node.drain ? "Undrain" : "Drain"}: ${clean(node.name)}`}
             >
               {node.drain ? "Undrain" : "Drain"}
             </Act>{" "}

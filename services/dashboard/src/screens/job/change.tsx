@@ -84,7 +84,7 @@ export function ChangeDialog(props: { job: Job; changed: () => void; close: () =
         </Field>
         <Field
           label="Priority"
-          hint="Among jobs with the same deadline; the greatest goes first."
+          hint="The greatest goes first, and may move others past their deadlines."
           error={isNoRank ? "Write a whole number from -1000 to 1000." : null}
         >
           {(id) => (

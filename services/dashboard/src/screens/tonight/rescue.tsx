@@ -45,7 +45,11 @@ export function RescueDialog(props: {
   if (!way) {
     return (
       <Dialog title={title} close={props.close}>
-        {job.loading ? <Waiting>Asking for ways out…</Waiting> : <NoWay jobId={jobId} close={props.close} />}
+        {job.loading ? (
+          <Waiting>Asking for ways out…</Waiting>
+        ) : (
+          <NoWay jobId={jobId} waits={job.data?.waits?.because ?? null} close={props.close} />
+        )}
         {job.error && <Trouble error={job.error} retry={job.reload} />}
         <div class="buttons">
           <button type="button" onClick={props.close}>
@@ -129,10 +133,15 @@ function ByHand(props: { change: PlanEffect["change"]; close: () => void }) {
   );
 }
 
-function NoWay(props: { jobId: string; close: () => void }) {
+function NoWay(props: { jobId: string; waits: string | null; close: () => void }) {
   return (
     <p>
       No change is known that would keep the deadline.{" "}
+      {props.waits && (
+        <>
+          The job <Prose text={props.waits} bare />.{" "}
+        </>
+      )}
       <a href={href(["jobs", props.jobId], { tab: "price" })} onClick={props.close}>
         Why, and what each deadline costs
       </a>

@@ -66,12 +66,14 @@ pub(crate) fn denoise(
     run: &Run<'_>,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<Option<()>, RenderError> {
-    progress(Progress { step: Step::Denoising, done: 0, all: 1 });
+    let step = |done| progress(Progress { step: Step::Denoising, done, all: 2 });
+    step(0);
     let Some(cost) = remove_noise(ready, &mut rendered.image, denoiser, run)? else { return Ok(None) };
+    step(1);
     let Some(stats) = measured(ready, &rendered.image, cost, run) else { return Ok(None) };
     rendered.stats.cpu_seconds += stats.cpu_seconds();
     rendered.stats.denoised = Some(stats);
-    progress(Progress { step: Step::Denoising, done: 1, all: 1 });
+    step(2);
     Ok(Some(()))
 }
 

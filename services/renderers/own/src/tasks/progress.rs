@@ -26,6 +26,9 @@ pub(crate) fn fraction(Progress { step, done, all }: Progress, cached: bool) -> 
     }
 }
 
+/// Share of a render task's progress before the noise of its image is removed.
+pub(crate) const NOISY: f64 = 0.85;
+
 /// Reports the steps of a quote as progress of the task.
 pub(crate) struct Reporting<'a> {
     pub control: &'a Control,

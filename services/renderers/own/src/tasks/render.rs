@@ -13,7 +13,7 @@ use crate::shot::OwnShot;
 use crate::tasks::Denoising;
 use crate::tasks::checkpoint::Checkpoints;
 use crate::tasks::given::{self, own, usable};
-use crate::tasks::progress::{count, fraction};
+use crate::tasks::progress::{NOISY, count, fraction};
 use crate::tasks::whole::{passes_put_together, put_together};
 use forelight_protocol::{
     CacheMode, DenoisedStats, FinishedPixels, ImageError, LogLevel, Passes, RenderArtifacts, RenderResult,
@@ -38,14 +38,16 @@ pub(crate) fn render(
     let ready = &ready;
     control.log(LogLevel::Info, format!("effects of frame {}: {}", spec.frame, ready.effects().join(", ")));
     let caches = (spec.cache, spec.frame_cache);
+    // Of the task's progress, what comes before removing the noise.
+    let share = if denoising.is_some() { NOISY } else { 1.0 };
     let mut rendered = match (spec.passes(), spec.parts.is_empty()) {
         (None, true) => {
             given::caches(ready, caches, true, assignment, control)?;
-            evenly(ready, settings, assignment, control)?
+            evenly(ready, settings, share, assignment, control)?
         }
         (None, false) => {
             let given::Start { profile, .. } = given::start(ready, caches, assignment, control)?;
-            put_together(ready, settings, profile, assignment, control)?
+            put_together(ready, settings, (profile, share), assignment, control)?
         }
         (Some(passes), is_whole) => {
             let given::Start { profile, .. } = given::start(ready, caches, assignment, control)?;
@@ -101,7 +103,10 @@ fn remove_noise(
         return Err(ExecuteError::Cancelled);
     }
     with_run(assignment, control, denoising.sandbox.as_deref(), |run| {
-        let done = denoise(ready, rendered, &denoising.denoiser, run, &|_| ());
+        let progress = |Progress { done, all, .. }: Progress| {
+            control.set_progress(NOISY + (1.0 - NOISY) * done as f64 / all as f64);
+        };
+        let done = denoise(ready, rendered, &denoising.denoiser, run, &progress);
         done.map_err(|error| match error {
             RenderError::Denoiser(error) => failure(error, assignment),
             other => other.into(),
@@ -121,6 +126,7 @@ fn remove_noise(
 fn evenly(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
+    share: f64,
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
@@ -148,7 +154,7 @@ fn evenly(
         count(pixels);
         checkpoints.finished(pixels);
     };
-    let progress = |progress: Progress| control.set_progress(fraction(progress, cached));
+    let progress = |progress: Progress| control.set_progress(share * fraction(progress, cached));
     render_ready(ready, settings, reuse.as_ref(), &progress, &finished, control.cancelled())?
         .ok_or(ExecuteError::Cancelled)
 }

@@ -12,11 +12,12 @@ use forelight_renderer::{Assignment, Control, ExecuteError};
 use forelight_tracer::{Pixel, Profile};
 use std::time::Instant;
 
-/// Takes over the pixels of all parts and of the frame's profile. Pixels that none of them holds are traced.
+/// Takes over the pixels of all parts and of the frame's profile. Pixels that none of them holds are traced. This is
+/// a `share` of the task's progress.
 pub(crate) fn put_together(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
-    profile: Option<Profile>,
+    (profile, share): (Option<Profile>, f64),
     assignment: &Assignment,
     control: &Control,
 ) -> Result<Rendered, ExecuteError> {
@@ -36,7 +37,7 @@ pub(crate) fn put_together(
         count(&profile.pixels, all, control);
     }
     let watch = |pixels: &[_]| count(pixels, all, control);
-    let progress = |progress: Progress| control.set_progress(fraction(progress, false));
+    let progress = |progress: Progress| control.set_progress(share * fraction(progress, false));
     let made = ready.put_together(finished, profile.as_ref(), &progress, &watch, control.cancelled())?;
     let made = made.ok_or(ExecuteError::Cancelled)?;
     Ok(rendered(ready, made, settings, start.elapsed().as_secs_f64()))
