@@ -163,6 +163,10 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
   });
 
   await step("books the rung in the place of the other job", async () => {
+    // What is still read moves the button.
+    for (const text of ["Reading the quote…", "Asking the planner…"]) {
+      await page.getByText(text).waitFor({ state: "detached" });
+    }
     await press("Book it");
     await page.locator(".job-top").waitFor();
     await until("it is booked instead", async () => {

@@ -383,6 +383,21 @@ async fn a_greater_priority_lets_a_job_go_first() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_lower_priority_lets_those_go_ahead_that_wait_behind_the_job() {
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    let first = submit(&farm, "0-3", json!({})).await;
+    farm.until_booked(&node, &first).await;
+    let second = submit(&farm, "0-3", json!({})).await;
+    farm.until_booked(&node, &second).await;
+    let waits_behind = |job: &Job| job.waits.as_ref().is_some_and(|waits| waits.behind.contains(&first.id));
+    let waiting = farm.until(&second, "wait behind the first", waits_behind).await;
+    patch(&farm, &first, json!({"priority": -1})).await.parsed::<Job>(StatusCode::OK).await;
+    farm.until(&second, "be planned anew", |job| job.plan_id != waiting.plan_id).await;
+    assert_eq!(renders(&farm, &node).await.job_id, second.id);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_job_says_what_fails_of_it_until_that_is_done() {
     let (farm, clock) = Farm::with_clock().await;
     let node = farm.node("a").await;
