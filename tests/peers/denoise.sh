@@ -42,6 +42,7 @@ echo 'frames of a farm, whole and in parts'
 "$FORELIGHT_BIN" farm --data "$work/data" --workers 1 --preview cpu --listen 127.0.0.1:0 >"$work/farm" 2>&1 &
 farm=$!
 server=$(farm_address "$work/farm" "$farm")
+scene=(deploy/scenes/kitchen --width 64 --height 36 --preview cpu)
 cached=(--cache on --spp 2 --frame 1 --denoise)
 run "${cached[@]}" --out "$work/here.exr"
 for parts in 1 2; do
