@@ -3,10 +3,10 @@
 //! Everybody may connect, so what a connection costs must not be what others lack. Each connection has a
 //! *standing*: a stranger's has shown no valid token yet, a worker's has shown one of a worker. When all seats
 //! are taken, the quiet connection gives way that has the lowest standing and was quiet for longest. One that a
-//! request runs on is not quiet. If none is quiet, a stranger's oldest request is ended if it has run for [`PATIENCE`]:
-//! those of strangers are short, unless they are there to hold a seat. Known callers' requests, and workers, never give way to others.
-//! So whoever comes next, such as a health check, is let in, and nobody is kept out by connections or requests
-//! that were begun to be held.
+//! request runs on is not quiet. If none is quiet, the oldest request of a stranger is ended, once it has run for
+//! [`PATIENCE`]: strangers' requests are short, unless they are there to hold a seat. Known callers' requests, and
+//! workers, never give way to others. So whoever comes next, such as a health check, is let in, and nobody is kept
+//! out by connections or requests that were begun to be held.
 //!
 //! Strangers of one address have a quarter of the seats. A proxy or a rack behind one address is not held to
 //! that, because its connections show tokens.

@@ -29,12 +29,11 @@ impl Store {
             Row,
             r#"SELECT t.id AS task, t.kind AS "kind: Word<TaskKind>", t.frame, t.failures + t.expiries AS "attempts!: u32",
                       t.error, t.not_before AS "not_before!: i64", t.state = 'ready' AS "is_ready!: bool",
-                      (SELECT n.name FROM leases l JOIN nodes n ON n.id = l.node_id WHERE l.task_id = t.id
-                       AND l.state IN ('failed', 'expired') ORDER BY l.ended_at DESC, l.id DESC LIMIT 1) AS "node?",
-                      ifnull((SELECT l.state = 'expired' FROM leases l WHERE l.task_id = t.id
-                       AND l.state IN ('failed', 'expired') ORDER BY l.ended_at DESC, l.id DESC LIMIT 1), 1) AS "is_lost!: bool",
-                      count(*) OVER () AS "tasks!: u32"
+                      n.name AS "node?", ifnull(l.state = 'expired', 1) AS "is_lost!: bool", count(*) OVER () AS "tasks!: u32"
                FROM tasks t INDEXED BY tasks_failing
+               LEFT JOIN leases l ON l.id = (SELECT o.id FROM leases o WHERE o.task_id = t.id
+                                             AND o.state IN ('failed', 'expired') ORDER BY o.ended_at DESC, o.id DESC LIMIT 1)
+               LEFT JOIN nodes n ON n.id = l.node_id
                WHERE t.job_id = ? AND t.state IN ('waiting', 'ready', 'leased') AND (t.failures > 0 OR t.expiries > 1)
                ORDER BY t.failures + t.expiries DESC, t.frame, t.id LIMIT 1"#,
             job.0
