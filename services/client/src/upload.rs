@@ -95,8 +95,8 @@ mod tests {
     use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
     use tokio::net::TcpListener;
 
-    /// More than the system keeps for a connection.
-    const BODY: usize = 32 << 20;
+    /// Much more than a system keeps for a connection that nobody reads: some keep 32 MiB.
+    const BODY: usize = 512 << 20;
     const SILENCE: Duration = Duration::from_secs(3);
 
     /// Uploads to a server that reads a fifteenth of the body in each half second, `times` times. Then it waits,
@@ -121,7 +121,9 @@ mod tests {
             connection
         });
         let http = reqwest::Client::builder().no_proxy().tls_certs_only([]).build().unwrap();
-        let sent = bytes(http.put(address), vec![7; BODY].into(), SILENCE).await;
+        let pieces = std::iter::repeat_n(Bytes::from(vec![7; PIECE]), BODY / PIECE);
+        let request = http.put(address).header(CONTENT_LENGTH, BODY);
+        let sent = upload(request, stream::iter(pieces.map(Ok)), SILENCE).await;
         server.abort();
         sent
     }
