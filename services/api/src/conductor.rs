@@ -17,6 +17,7 @@
 pub(crate) mod answers;
 pub(crate) mod book;
 mod bookable;
+mod budget_holds;
 mod demands;
 pub(crate) mod effects;
 pub(crate) mod farm;
@@ -29,6 +30,7 @@ mod qualities;
 mod replan;
 mod risks;
 pub(crate) mod settle;
+pub(crate) mod waits;
 mod watched;
 pub(crate) mod what_if;
 

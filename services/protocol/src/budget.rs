@@ -111,6 +111,13 @@ pub struct BudgetThreshold {
     pub action: BudgetAction,
 }
 
+impl BudgetThreshold {
+    /// Whether its share of `amount` is used. Nothing used reaches no share, even of a budget of nothing.
+    pub fn is_reached(self, amount: Money, used: Money) -> bool {
+        used.0 > 0 && i128::from(used.0) * 100 >= i128::from(amount.0) * i128::from(self.percent)
+    }
+}
+
 /// Sets a budget. A project has one budget per period; a new one replaces it.
 #[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -172,6 +179,31 @@ pub struct Budget {
     pub action: Option<BudgetAction>,
     /// When it was last set.
     pub updated_at: Timestamp,
+}
+
+/// What the budget of a job's project is expected to hold back of the job, by all that is booked.
+#[derive(Clone, PartialEq, Eq, Debug, Serialize, Deserialize, ToSchema)]
+pub struct BudgetHold {
+    /// Period of the budget.
+    pub period: BudgetPeriod,
+    /// When so much is expected to be spent that the budget holds the project.
+    pub from: Timestamp,
+    /// When the next period begins. Absent for the budget of a whole project.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<Timestamp>,
+    /// Number of the job's frames that are booked between the two.
+    pub frames: u32,
+    /// By how much the budget would have to be raised for all bookings of the project in this period.
+    pub missing: Money,
+    /// The same in words.
+    pub because: String,
+}
+
+impl BudgetHold {
+    /// The earliest end of a job whose bookings end at `planned`. `None` if somebody has to raise the budget.
+    pub fn end(&self, planned: Timestamp) -> Option<Timestamp> {
+        Some(self.until?.max(planned))
+    }
 }
 
 /// All budgets, sorted by project and period.

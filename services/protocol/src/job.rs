@@ -6,10 +6,11 @@ use utoipa::ToSchema;
 use crate::division::{is_one, one};
 use crate::node::given;
 use crate::{
-    ArtifactHash, BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FinishQuantiles, FrameForecast,
-    FrameSet, JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast, Money, NodeId,
-    OutputPattern, PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats, RenderedBy,
-    RendererRequest, SceneSummary, SharedCacheProgress, TaskId, TaskLimits, Timestamp, VideoRequest, Waits,
+    ArtifactHash, BudgetHold, BundleRef, CacheSharing, Confidence, Division, ErrorTarget, FinishQuantiles,
+    FrameForecast, FrameSet, JobId, JobSettings, JobState, JobVerdict, JobVideo, Ladders, LiveForecast,
+    Money, NodeId, OutputPattern, PageToken, PlanId, Promise, Quantiles, RenderSettingsRequest, RenderStats,
+    RenderedBy, RendererRequest, SceneSummary, SharedCacheProgress, TaskId, TaskLimits, Timestamp,
+    VideoRequest, Waits,
 };
 
 /// Request for a new job.
@@ -319,8 +320,12 @@ pub struct Job {
     /// if it were accepted now. Absent without a deadline or a plan.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
+    /// What the budget of its project is expected to hold back of it. Of a quote on hold: if it were accepted
+    /// now. Absent if nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget_hold: Option<BudgetHold>,
     /// Expected finish of the last frame. Of a quote on hold: if it were accepted now. Absent before the quote,
-    /// and once the job is over.
+    /// once the job is over, and if it cannot end before somebody raises a budget.
     pub eta: Option<Timestamp>,
     /// When it will be finished, in the scenarios of the newest plan. Absent if no plan says.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -79,9 +79,9 @@ pub use answers::{
 pub use artifact::ArtifactStored;
 pub use audit::{AuditAction, AuditEntry, AuditPage, UnknownAction};
 pub use budget::{
-    Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetList, BudgetOutlook,
-    BudgetPeriod, BudgetRequest, BudgetThreshold, CostLine, LedgerLine, MoneyForecast, Night, NightForecast,
-    NightRecord, NotReady,
+    Budget, BudgetAction, BudgetChange, BudgetForecast, BudgetForecastRequest, BudgetHold, BudgetList,
+    BudgetOutlook, BudgetPeriod, BudgetRequest, BudgetThreshold, CostLine, LedgerLine, MoneyForecast, Night,
+    NightForecast, NightRecord, NotReady,
 };
 pub use bundle::{Bundle, BundleRef, BundleSource, SceneSummary};
 pub use cache::{

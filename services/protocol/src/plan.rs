@@ -36,7 +36,7 @@ pub enum Verdict {
     OnTime,
     /// The deadline is missed.
     Late,
-    /// The deadline is kept, but the budget is exceeded.
+    /// The deadline is kept, but the budget is exceeded: that of the job, or what its project has left.
     OverBudget,
     /// The job cannot be planned: no node could ever do it.
     Impossible,
@@ -63,7 +63,7 @@ pub struct JobVerdict {
     pub verdict: Verdict,
     /// The confidence of the verdict.
     pub confidence: Confidence,
-    /// When the last frame finishes. Absent if impossible.
+    /// When the last frame finishes. Absent if impossible, or if somebody has to raise a budget first.
     pub finish: Option<Timestamp>,
     /// Cost of the bookings. Absent if impossible.
     pub cost: Option<Money>,

@@ -60,6 +60,7 @@ impl Store {
         );
         let deed = Deed::new(AuditAction::BudgetSet, &request.project).of_project(&request.project);
         note(&mut write, deed, Some(request), now);
+        replans::want(&mut write, &format!("the budget of project {} is set", request.project)).await?;
         enforce(&mut write, now).await?;
         let found = budgets(write.connection().await?, now)
             .await?
@@ -82,6 +83,7 @@ impl Store {
         let of_budget = Event { project: Some(project.to_owned()), ..event(EventKind::Budget, now) };
         let message = format!("{project}: the budget {} is removed", policy::per(period));
         append(&mut write, Event { message: Some(message), ..of_budget });
+        replans::want(&mut write, &format!("a budget of project {project} is removed")).await?;
         enforce(&mut write, now).await?;
         self.commit(write).await
     }

@@ -218,6 +218,7 @@ impl JobRow {
                 .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
             promise: outlook.promise.filter(|_| is_planned),
             probability: outlook.probability.filter(|_| is_planned && !state.is_final()),
+            budget_hold: outlook.budget_hold.filter(|_| !state.is_final()),
             eta: None,
             finish: None,
             spent: None,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    CacheQuote, Confidence, Division, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles,
+    Budget, CacheQuote, Confidence, Division, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles,
     Timestamp,
 };
 use forelight_quote::JobForecast;
@@ -42,6 +42,7 @@ pub(crate) struct Snapshot {
     pub nodes: Vec<Node>,
     pub jobs: Vec<FarmJob>,
     pub projects: Vec<ProjectUse>,
+    pub budgets: Vec<Budget>,
     /// Expected course of all bookings that are not done.
     pub projected: Projection,
 }
@@ -59,8 +60,9 @@ impl Snapshot {
         let nodes = store.nodes(None, MOST_NODES).await?;
         let jobs = store.farm_jobs(now).await?;
         let projects = store.projects(now).await?;
+        let budgets = store.budgets(now).await?;
         let projected = project(&store.open_bookings().await?, &store.open_cache_parts().await?, now);
-        Ok(Self { now, parent, wanted, nodes, jobs, projects, projected })
+        Ok(Self { now, parent, wanted, nodes, jobs, projects, budgets, projected })
     }
 }
 
@@ -74,6 +76,7 @@ pub(crate) struct Farm {
     pub booked: Vec<planner::Booking>,
     pub nodes: Vec<Node>,
     pub jobs: Vec<Asked>,
+    pub budgets: Vec<Budget>,
 }
 
 #[derive(Clone, Debug)]
@@ -173,7 +176,8 @@ impl Farm {
         };
         let standing = standing(&input, &snapshot.projected.frames, &index, &places, &asked);
         let booked = booked(&snapshot.projected.frames, &index, &places);
-        Self { input, standing, booked, nodes: snapshot.nodes.clone(), jobs: asked }
+        let (nodes, budgets) = (snapshot.nodes.clone(), snapshot.budgets.clone());
+        Self { input, standing, booked, nodes, jobs: asked, budgets }
     }
 
     pub fn place(&self, job: JobId) -> Option<usize> {

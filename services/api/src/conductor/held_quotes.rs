@@ -5,9 +5,10 @@ use forelight_protocol::JobId;
 use forelight_store::JobOutlook;
 
 use super::book::quoted;
+use super::budget_holds::budget_holds;
 use super::farm::{Farm, Snapshot};
 use super::risks::{Risk, risk};
-use super::settle::end;
+use super::settle::{end, lacks_money};
 use super::{AdvanceError, Conductor, compute};
 
 /// Most quotes that are looked at in one round: the newest.
@@ -64,6 +65,10 @@ fn outlook(farm: &Farm, job: usize) -> Result<JobOutlook, AdvanceError> {
     let around = farm.around(job, &farm.standing);
     let plan = planner::plan(&around)?;
     let Risk { probability, finish } = risk(farm, &around, &plan, job)?;
-    let takes = end(farm, &plan, job).map(|end| end.saturating_sub(farm.input.now));
-    Ok(JobOutlook { probability, finish, takes, ..JobOutlook::default() })
+    let planned = end(farm, &plan, job);
+    let takes = planned.map(|end| end.saturating_sub(farm.input.now));
+    let budget_hold = budget_holds(farm, &plan, &around.fixed).swap_remove(job);
+    let lacks_money = lacks_money(&farm.jobs[job], planned, budget_hold.as_ref());
+    let probability = probability.map(|found| if lacks_money { 0.0 } else { found });
+    Ok(JobOutlook { probability, finish, takes, budget_hold, ..JobOutlook::default() })
 }

@@ -134,6 +134,7 @@ pub(crate) fn snapshot(
         nodes,
         jobs,
         projects: Vec::new(),
+        budgets: Vec::new(),
         projected: project(bookings, parts, now),
     }
 }

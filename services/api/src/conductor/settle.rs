@@ -10,17 +10,17 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner as planner;
-use forelight_planner::{AtRisk, Booking, Precedence, Reason, Rescue};
-use forelight_protocol::{
-    JobId, JobVerdict, Money, Needs, NodeId, ProjectShare, Promise, Timestamp, Verdict, WaitKind, Waits,
-};
-use forelight_store::{FinishSpread, HALF_LIFE, JobOutlook, NewBooking, NewJobPlan};
+use forelight_planner::{AtRisk, Booking, Rescue};
+use forelight_protocol::{BudgetHold, JobId, JobVerdict, Money, Needs, NodeId, Promise, Timestamp, Verdict};
+use forelight_store::{FinishSpread, JobOutlook, NewBooking, NewJobPlan};
 
 use super::AdvanceError;
+use super::budget_holds::budget_holds;
 use super::effects::{all_nodes, duration};
 use super::farm::{Asked, Farm, with_spent};
 use super::numbers::frame_part;
 use super::risks::{Risk, risks};
+use super::waits::waits;
 
 /// With more waiting frames than this, whole plans are made the quick way.
 const LARGE: usize = 5_000;
@@ -61,7 +61,9 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let before = by_job(&farm.standing, farm.jobs.len());
     let after = by_job(&plan.bookings, farm.jobs.len());
     let waits = waits(farm, &plan, &after)?;
-    let verdicts: Vec<JobVerdict> = (0..farm.jobs.len()).map(|job| verdict(farm, &plan, job)).collect();
+    let holds = budget_holds(farm, &plan, &farm.input.fixed);
+    let verdicts: Vec<JobVerdict> =
+        holds.iter().enumerate().map(|(job, hold)| verdict(farm, &plan, job, hold.as_ref())).collect();
     let says_new = |(job, said): (usize, &JobVerdict)| {
         let asked = &farm.jobs[job];
         let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
@@ -77,17 +79,19 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let mut jobs = Vec::new();
     let mut outlooks = Vec::new();
     let mut helped = 0;
-    for (job, mut said) in verdicts.into_iter().enumerate() {
+    for ((job, mut said), budget_hold) in verdicts.into_iter().enumerate().zip(holds) {
         let asked = &farm.jobs[job];
         let Risk { probability, finish } = risks[job];
-        let promise = promise(farm, &plan, &at_risk, probability, job);
-        let outlook =
-            JobOutlook { waits: waits.get(&job).cloned(), promise, finish, probability, takes: None };
+        let lacks_money = lacks_money(asked, end(farm, &plan, job), budget_hold.as_ref());
+        let probability = probability.map(|found| if lacks_money { 0.0 } else { found });
+        let promise = promise(farm, &plan, (&at_risk, budget_hold.as_ref()), probability, job);
+        let waits = waits.get(&job).cloned();
+        let outlook = JobOutlook { waits, promise, finish, probability, budget_hold, takes: None };
         outlooks.push((asked.job.id, outlook));
         if !booked_anew[job] {
             continue;
         }
-        if said.verdict != Verdict::OnTime && helped < MOST_HELPED && !asked.held {
+        if said.verdict != Verdict::OnTime && helped < MOST_HELPED && !asked.held && !lacks_money {
             helped += 1;
             let within_budget = said.verdict != Verdict::OverBudget;
             said.ways_out = farm.ways_out(job, &plan.bookings, within_budget)?;
@@ -234,13 +238,33 @@ pub(crate) fn stayed(before: &Booking, after: &Booking) -> bool {
     after.node == before.node && by <= STILL.max(before.end.saturating_sub(before.start) / 4)
 }
 
-fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
+/// Whether a job that ends in time in the plan misses its deadline, since its project's budget will hold it.
+pub(super) fn lacks_money(asked: &Asked, planned: Option<i64>, hold: Option<&BudgetHold>) -> bool {
+    planned.is_some() && asked.is_kept(planned) && !asked.is_kept(end_with(hold, planned))
+}
+
+/// The end of a job that ends at `planned` in the plan. `None` if it never ends, or not before somebody raises
+/// a budget.
+fn end_with(hold: Option<&BudgetHold>, planned: Option<i64>) -> Option<i64> {
+    match hold {
+        Some(hold) => Some(hold.end(Timestamp::from_micros(planned?))?.micros()),
+        None => planned,
+    }
+}
+
+fn verdict(farm: &Farm, plan: &planner::Plan, job: usize, hold: Option<&BudgetHold>) -> JobVerdict {
     let asked = &farm.jobs[job];
     let entry = plan.job(job as u64);
-    let finish = end(farm, plan, job);
+    let planned = end(farm, plan, job);
+    let finish = end_with(hold, planned);
+    let lacks_money = lacks_money(asked, planned, hold);
     let over_budget = entry.is_some_and(|entry| entry.within_budget == Some(false));
     let mut reasons = Vec::new();
-    let verdict = match (finish, asked.job.deadline) {
+    let verdict = match (planned, asked.job.deadline) {
+        _ if lacks_money => {
+            reasons.push(too_little(&asked.job.project));
+            if asked.job.deadline.is_some() { Verdict::Late } else { Verdict::OverBudget }
+        }
         (None, _) => {
             reasons.push(unplaced(farm, asked.job.needs().as_ref(), entry));
             Verdict::Impossible
@@ -282,7 +306,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize) -> JobVerdict {
         verdict,
         confidence: asked.job.confidence,
         finish: finish.map(Timestamp::from_micros),
-        cost: finish.map(|_| cost),
+        cost: planned.map(|_| cost),
         reasons,
         ways_out: Vec::new(),
     }
@@ -312,6 +336,11 @@ pub(crate) fn held_back(project: &str) -> String {
     format!(
         "the budget of project {project} is used up: work continues when it is raised or its next period begins"
     )
+}
+
+/// Reason why a job will wait for its project's budget. [`BudgetHold`] says more, and is kept up to date.
+fn too_little(project: &str) -> String {
+    format!("the budget of project {project} does not last for all of its frames")
 }
 
 /// Reason why a job has no end whose frames wait for a shared cache.
@@ -345,20 +374,21 @@ fn in_the_way(farm: &Farm, plan: &planner::Plan, late: &Asked, finish: i64) -> S
 fn promise(
     farm: &Farm,
     plan: &planner::Plan,
-    at_risk: &[AtRisk],
+    (at_risk, hold): (&[AtRisk], Option<&BudgetHold>),
     probability: Option<f64>,
     job: usize,
 ) -> Option<Promise> {
     let asked = &farm.jobs[job];
     let (deadline, probability) = asked.job.deadline.zip(probability)?;
     // A job held back by a budget has no end until the budget changes.
-    let finish = end(farm, plan, job).filter(|_| !asked.held);
+    let planned = end(farm, plan, job);
+    let finish = end_with(hold, planned).filter(|_| !asked.held);
     let kept = asked.is_kept(finish);
     if !kept && !asked.is_promised() {
         return None;
     }
     let before = asked.job.promise.as_ref().filter(|before| before.kept == kept);
-    let rescue = if kept {
+    let rescue = if kept || lacks_money(asked, planned, hold) {
         None
     } else {
         let found = at_risk.iter().find(|risk| risk.job == job as u64).and_then(|risk| risk.rescue.clone());
@@ -382,94 +412,6 @@ fn promise(
         since: before.map_or(Timestamp::from_micros(farm.input.now), |before| before.since),
         rescue,
     })
-}
-
-/// What jobs wait for. Also: the plan's bookings, by job.
-fn waits(
-    farm: &Farm,
-    plan: &planner::Plan,
-    bookings: &[Vec<&Booking>],
-) -> Result<BTreeMap<usize, Waits>, AdvanceError> {
-    let mut found = BTreeMap::new();
-    let may_wait = |asked: &Asked| asked.begun.is_empty() && !asked.held;
-    let explained: BTreeMap<u64, Reason> =
-        planner::explain(&farm.input, plan, |job| may_wait(&farm.jobs[job as usize]))?
-            .into_iter()
-            .map(|explanation| (explanation.job, explanation.reason))
-            .collect();
-    for (job, asked) in farm.jobs.iter().enumerate() {
-        if !asked.begun.is_empty() && !asked.held {
-            continue;
-        }
-        let first = bookings[job].iter().map(|booking| booking.start).min();
-        let until = first.map(Timestamp::from_micros);
-        let share = share(farm, job);
-        let waits =
-            |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
-        if asked.held {
-            found.insert(job, Waits { share: share.clone(), ..Waits::for_budget(&asked.job.project) });
-        } else if let Some(reason) = explained.get(&(job as u64)) {
-            let (kind, behind) = match reason {
-                Reason::NoNode => (WaitKind::Node, Vec::new()),
-                Reason::Calendar { .. } | Reason::NoRoom { .. } => (WaitKind::Calendar, Vec::new()),
-                Reason::Behind { jobs } => (WaitKind::Others, jobs.clone()),
-                Reason::Sooner | Reason::Booked => (WaitKind::Others, Vec::new()),
-                Reason::Cheaper => (WaitKind::Cheaper, Vec::new()),
-            };
-            let because = match reason {
-                Reason::Behind { jobs } => behind_in_words(farm, job, jobs),
-                Reason::NoNode if farm.nodes.is_empty() => "waits because no node takes work".to_owned(),
-                reason => reason.to_string(),
-            };
-            let behind =
-                behind.iter().filter_map(|(job, _)| Some(farm.jobs.get(*job as usize)?.job.id)).collect();
-            found.insert(job, waits(kind, because, behind));
-        }
-    }
-    Ok(found)
-}
-
-fn behind_in_words(farm: &Farm, waiting: usize, jobs: &[(u64, Precedence)]) -> String {
-    let mine = share(farm, waiting);
-    let one = |(job, why): &(u64, Precedence)| -> Option<String> {
-        let other = farm.jobs.get(*job as usize)?;
-        let why = match why {
-            _ if other.held => {
-                format!("is booked there, although the budget of {} holds it", other.job.project)
-            }
-            Precedence::Fixed => "is being rendered".to_owned(),
-            Precedence::Share { .. } => match (&mine, share(farm, *job as usize)) {
-                (Some(mine), Some(theirs)) => format!(
-                    "belongs to project {}, which had {:.1} node hours for a share of {}, while {} had {:.1} for a share of {}",
-                    theirs.project,
-                    theirs.used_hours,
-                    theirs.share,
-                    mine.project,
-                    mine.used_hours,
-                    mine.share
-                ),
-                _ => why.to_string(),
-            },
-            why => why.to_string(),
-        };
-        Some(format!("{}, which {why}", other.job.name))
-    };
-    let others: Vec<String> = jobs.iter().filter_map(one).collect();
-    format!("waits because its nodes are booked for {}", others.join("; for "))
-}
-
-fn share(farm: &Farm, job: usize) -> Option<ProjectShare> {
-    let project = farm.input.jobs.get(job)?.project?;
-    farm.input.projects.iter().find(|entry| entry.id == project).map(|entry| share_of(entry, farm.input.now))
-}
-
-pub(crate) fn share_of(project: &planner::Project, now: i64) -> ProjectShare {
-    let used = planner::decayed_usage(project, now, HALF_LIFE);
-    ProjectShare {
-        project: project.name.clone(),
-        share: project.share.max(1),
-        used_hours: used as f64 / 3.6e9,
-    }
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use forelight_store::HALF_LIFE;
 
 use super::checks::check_name;
 use crate::conductor::farm::planner_project;
-use crate::conductor::settle::share_of;
+use crate::conductor::waits::share_of;
 use crate::error::{ApiError, ApiResult, Problems};
 use crate::extract::{JsonBody, Operator, Reader};
 use crate::state::App;

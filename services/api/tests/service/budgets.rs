@@ -7,7 +7,7 @@ use crate::support::{Answer, Farm, eventually};
 use forelight_api::{Clock as _, ManualClock};
 use forelight_protocol::{
     AnswersDoc, Budget, BudgetAction, BudgetForecast, BudgetList, Job, JobState, Lease, LeaseOrder, Money,
-    Node, ProblemKind, Renewal, Timestamp, Waits,
+    Node, ProblemKind, Renewal, Timestamp, Verdict, Waits,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -224,6 +224,28 @@ async fn a_job_that_has_begun_says_that_a_budget_holds_it_and_not_when_it_is_rea
     let path = format!("/v1/jobs/{}/answers", held.id);
     let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     assert!(answers.why_not[0].contains("budget of project film is used up"), "{:?}", answers.why_not);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_job_says_beforehand_what_a_budget_will_hold_back_of_it() {
+    let (farm, _) = farm().await;
+    let node = farm.node("a").await;
+    let film = job(&farm, &node, "film", None).await;
+    assert_eq!(film.budget_hold, None);
+    let booked = film.verdict.as_ref().and_then(|said| said.cost).unwrap();
+    let in_all = |amount| json!({"project": "film", "period": "total", "amount": amount, "zone": "UTC", "thresholds": [{"percent": 100, "action": "drain"}]});
+    set(&farm, &in_all(booked.0 / 2)).await;
+    let short = farm.until(&film, "it lacks money", |job| job.budget_hold.is_some()).await;
+    let hold = short.budget_hold.unwrap();
+    assert!((1..10).contains(&hold.frames) && hold.until.is_none(), "{hold:?}");
+    assert!(hold.missing > Money(0) && hold.missing <= Money(booked.0), "{hold:?}");
+    assert!(hold.because.contains("budget of project film lasts until"), "{hold:?}");
+    assert_eq!((short.verdict.unwrap().verdict, short.eta, short.finish), (Verdict::OverBudget, None, None));
+    // With what is missing, it has enough.
+    set(&farm, &in_all(booked.0 / 2 + hold.missing.0 + booked.0 / 100)).await;
+    let enough = farm.until(&film, "it has money", |job| job.budget_hold.is_none()).await;
+    assert_eq!(enough.verdict.unwrap().verdict, Verdict::OnTime);
+    assert!(enough.eta.is_some());
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -123,6 +123,9 @@ fn heading(job: &Job, found: &AnswersDoc, (now, at): (Timestamp, &dyn Fn(Timesta
             text += &format!("cheapest rescue: {}\n", rescue.words);
         }
     }
+    if let Some(hold) = &job.budget_hold {
+        text += &format!("{}\n\nIf the budget held nothing:\n", hold.because);
+    }
     let is_held = job.waits.as_ref().is_some_and(Waits::is_for_money);
     if is_held {
         text += "\nIf the budget held it no longer:\n";

@@ -173,6 +173,9 @@ fn report(job: &Job, beside: &Beside, now: Timestamp) -> String {
         let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
     }
+    if let Some(hold) = &job.budget_hold {
+        line("budget", hold.because.clone());
+    }
     if let Some(failing) = &job.failing {
         let again =
             failing.again_at.map_or(String::new(), |at| format!("; tried again at {}", clock(at, now)));
@@ -248,6 +251,7 @@ fn ready(job: &Job, now: Timestamp) -> String {
         (state, _, _) if state.is_final() => return format!("never: the job {}", ended(state)),
         (JobState::Quoted, _, Some(at)) => (at, format!("at {} if it is accepted now", clock(at, now))),
         (_, _, Some(at)) => (at, format!("at {} by the current plan", clock(at, now))),
+        (_, _, None) if job.budget_hold.is_some() => return "not before the budget is raised".to_owned(),
         (_, _, None) if job.plan_id.is_none() => {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
             return format!("not known before the job is booked{deadline}");

@@ -1787,6 +1787,23 @@ export interface components {
              */
             zone: string;
         };
+        /** @description What the budget of a job's project is expected to hold back of the job, by all that is booked. */
+        BudgetHold: {
+            /** @description The same in words. */
+            because: string;
+            /**
+             * Format: int32
+             * @description Number of the job's frames that are booked between the two.
+             */
+            frames: number;
+            /** @description When so much is expected to be spent that the budget holds the project. */
+            from: components["schemas"]["Timestamp"];
+            /** @description By how much the budget would have to be raised for all bookings of the project in this period. */
+            missing: components["schemas"]["Money"];
+            /** @description Period of the budget. */
+            period: components["schemas"]["BudgetPeriod"];
+            until?: components["schemas"]["Timestamp"] | null;
+        };
         /** @description All budgets, sorted by project and period. */
         BudgetList: {
             /** @description The budgets. */
@@ -3239,6 +3256,7 @@ export interface components {
         /** @description A job. */
         Job: {
             budget?: components["schemas"]["Money"] | null;
+            budget_hold?: components["schemas"]["BudgetHold"] | null;
             /** @description The scene bundle. */
             bundle: components["schemas"]["BundleRef"];
             /** @description The requested sharing of irradiance caches. The quote says whether the frames share one. */

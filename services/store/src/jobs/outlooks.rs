@@ -1,6 +1,8 @@
 //! Outlooks of booked jobs: why they wait, and the state of their promises.
 
-use forelight_protocol::{Event, FinishQuantiles, Job, JobId, JobState, Promise, Timestamp, Waits};
+use forelight_protocol::{
+    BudgetHold, Event, FinishQuantiles, Job, JobId, JobState, Promise, Timestamp, Waits,
+};
 use serde::{Deserialize, Serialize};
 use sqlx::SqliteConnection;
 
@@ -28,6 +30,9 @@ pub struct JobOutlook {
     /// Probability that it meets its deadline. `None` without one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
+    /// What the budget of its project is expected to hold back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget_hold: Option<BudgetHold>,
     /// Of a quote on hold: the time until its end if it were accepted now, in microseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub takes: Option<i64>,
@@ -96,24 +101,29 @@ async fn tell_ends(
 }
 
 /// What an outlook says of a job's end.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Expected {
     finish: Option<FinishSpread>,
     takes: Option<i64>,
+    budget_hold: Option<BudgetHold>,
 }
 
 impl JobOutlook {
     pub(crate) fn expected(&self) -> Expected {
-        Expected { finish: self.finish, takes: self.takes }
+        Expected { finish: self.finish, takes: self.takes, budget_hold: self.budget_hold.clone() }
     }
 }
 
 impl Expected {
     /// Fills in when a job that is not over is expected to end, and how that varies.
     pub fn tell(self, job: &mut Job, ends: &JobEnds, now: Timestamp) {
-        job.eta = match self.takes.filter(|_| job.state == JobState::Quoted) {
+        let planned = match self.takes.filter(|_| job.state == JobState::Quoted) {
             Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
             None => ends.eta(job),
+        };
+        job.eta = match &self.budget_hold {
+            Some(hold) => planned.and_then(|planned| hold.end(planned)),
+            None => planned,
         };
         job.finish = job.eta.zip(self.finish).map(|(end, spread)| spread.around(end, now));
     }

@@ -8,9 +8,7 @@ use forelight_protocol::{
 
 /// The strongest action that this much spending calls for.
 fn called_for(thresholds: &[BudgetThreshold], amount: Money, used: Money) -> Option<BudgetAction> {
-    let is_reached =
-        |percent: u32| used.0 > 0 && i128::from(used.0) * 100 >= i128::from(amount.0) * i128::from(percent);
-    thresholds.iter().filter(|it| is_reached(it.percent)).map(|it| it.action).max()
+    thresholds.iter().filter(|it| it.is_reached(amount, used)).map(|it| it.action).max()
 }
 
 /// The action that should be in force: what spent and committed money calls for, and at least what is in

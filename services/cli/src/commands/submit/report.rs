@@ -150,7 +150,8 @@ pub fn quoted(job: &Job, forecast: &ForecastDoc, answers: &AnswersDoc, now: Time
         };
         text += &format!("at {confidence}     {ready}{in_time}, for {}\n", money(line.cost.micro_units()));
     }
-    for reason in &answers.why_not {
+    let hold = job.budget_hold.as_ref().map(|hold| &hold.because);
+    for reason in answers.why_not.iter().chain(hold) {
         text += &format!("           {reason}\n");
     }
     for way in &answers.ways_out {
@@ -226,7 +227,8 @@ fn verdict(job: &Job, forecast: Option<&ForecastDoc>, frames: &[FrameRow], now: 
             text += &format!(", for {}", money(cost.0));
         }
         text += "\n";
-        for reason in &verdict.reasons {
+        let hold = job.budget_hold.as_ref().map(|hold| &hold.because);
+        for reason in verdict.reasons.iter().chain(hold) {
             text += &format!("           {reason}\n");
         }
     }

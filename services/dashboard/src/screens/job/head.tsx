@@ -11,6 +11,7 @@ import { clean, cpuTime, grouped, maybeInstant, percent } from "../../ui/format"
 import { Mark } from "../../ui/mark";
 import { Money, Prose, Time } from "../../ui/parts";
 import { RescueDialog } from "../tonight/rescue";
+import { BudgetHold } from "./budget";
 import { CancelDialog, ChangeDialog, QuoteDialog } from "./change";
 
 export function JobHead(props: { job: Job; changed: () => void }) {
@@ -81,6 +82,7 @@ export function JobHead(props: { job: Job; changed: () => void }) {
           </a>
         </p>
       )}
+      <BudgetHold job={job} />
       {!over && job.waits && (
         <p>
           It <Prose text={job.waits.because} bare />.

@@ -12,6 +12,7 @@ import { bytes, clean, counted, cpuTime, percent, words, work } from "../../ui/f
 import { Mark } from "../../ui/mark";
 import { AsOf, Money, Prose, Section, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
+import { BudgetHold } from "../job/budget";
 import { useTasks } from "../job/tasks";
 import { When } from "./when";
 
@@ -220,6 +221,7 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
           <Waiting>Asking the planner…</Waiting>
         )}
       </Section>
+      <BudgetHold job={job} />
       {why.data && (
         <Section title="Why it costs that">
           <ul class="sentences">

@@ -52,7 +52,8 @@ function Summary(props: { doc: Farm }) {
   const p95 = maybeInstant(doc.finish?.p95);
   const nodes = doc.node_counts;
   const trouble = nodes.silent + nodes.set_aside;
-  // Open jobs that no plan books: those that are being quoted, and those that it has no place for.
+  // Open jobs without an expected end: those that are being quoted, those that the plan has no place for, and
+  // those for which a budget has to be raised first.
   const { previewing, profiling } = doc.counts.jobs;
   const unplaced = doc.jobs.filter(({ state, eta }) => (state === "booked" || state === "rendering") && !eta);
   const without = previewing + profiling + unplaced.length;
@@ -72,11 +73,11 @@ function Summary(props: { doc: Farm }) {
       {counted(doc.jobs_open_total, "job")} open
       {p80 !== null && (
         <>
-          ; {without > 0 ? "those with a plan are" : "all"} ready by <Time at={p80} /> at P80
+          ; {without > 0 ? "the others are" : "all"} ready by <Time at={p80} /> at P80
           {p95 !== null && <>, by {clockTime(p95)} at P95</>}
         </>
       )}
-      {without > 0 && `; ${grouped(without)} without a plan yet`}.{" "}
+      {without > 0 && `; ${grouped(without)} without an expected end`}.{" "}
       {doc.counts.jobs.quoted > 0 && (
         <>{counted(doc.counts.jobs.quoted, "quote waits", "quotes wait")} to be accepted. </>
       )}
