@@ -69,6 +69,11 @@ pub struct JobForecast {
 }
 
 impl JobForecast {
+    /// Mean CPU seconds of so many frames at speed 1.
+    pub fn mean_of_frames(&self, frames: usize) -> f64 {
+        self.total.cpu_seconds.mean / frames.max(1) as f64
+    }
+
     /// CPU seconds of the shared irradiance cache. Zero without one.
     pub fn shared_cache_seconds(&self) -> Quantiles {
         self.cache.as_ref().map(CacheQuote::shared_cache_seconds).unwrap_or_default()

@@ -28,6 +28,7 @@
 //! | `pixel_costs` | cost of single pixels |
 //! | `living` | the estimate of a running job: when to update it, when it exceeds its booking |
 //! | `price` | CPU time in money |
+//! | `serial_time` | how long frames keep a node beyond their CPU time divided by its cores |
 //! | `explanation/` | where the work goes, in numbers and words |
 //! | `qualities/` | cost and error of other qualities |
 
@@ -47,6 +48,7 @@ mod price;
 mod qualities;
 mod sampled;
 mod samples;
+pub mod serial_time;
 mod sharing;
 #[cfg(test)]
 mod tests;
@@ -60,7 +62,7 @@ pub use job_forecast::{JobForecast, Quote, QuoteBasis, QuoteKind, SharedCacheToB
 pub use limit::{Limit, Most};
 pub use measured::{Measured, MeasuredProfile, SharedCache};
 pub use pixel_costs::PixelWork;
-pub use price::mean_price;
+pub use price::{mean_price, mean_serial_price};
 pub use qualities::{image_error, is_own, ladder, mark, points, without_ladders};
 pub use sampled::{SampledProfile, quote_sampled, stratum_key};
 pub use samples::with_samples;

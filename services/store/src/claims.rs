@@ -188,7 +188,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
          (SELECT CAST(f.cpu_p95 * ifnull((SELECT share FROM tasks WHERE id = ?), 1.0 / f.parts) * j.factor / ? * 1000000 \
-                      AS INTEGER) FROM frames f JOIN jobs j ON j.id = f.job_id \
+                      AS INTEGER) + iif(? > 1, j.serial_many_cores, j.serial_one_core) FROM frames f JOIN jobs j ON j.id = f.job_id \
          WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0 AND (? = 'render_part' OR f.parts = 1)))",
         lease.lease_id.0,
         task_id.0,
@@ -200,6 +200,7 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         task_id.0,
         task_id.0,
         speed * f64::from(node.cores),
+        node.cores,
         job_id.0,
         // Frames and their parts have a forecast of their own. How long it takes to put a frame together has
         // none.
@@ -360,8 +361,10 @@ async fn this_task(
 /// for the job's classes of work and corrected by finished frames.
 async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) -> Result<String> {
     let rows = sqlx::query!(
-        "SELECT hex(id) AS \"name!: String\", work_by_class, factor FROM jobs \
-         WHERE state IN ('booked', 'rendering')"
+        "SELECT hex(id) AS \"name!: String\", work_by_class, factor, \
+         iif(?, serial_many_cores, serial_one_core) AS \"serial!: i64\" FROM jobs \
+         WHERE state IN ('booked', 'rendering')",
+        node.cores > 1
     )
     .fetch_all(connection)
     .await?;
@@ -369,7 +372,10 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
         .into_iter()
         .map(|row| {
             let work = row.work_by_class.map(|it| it.0);
-            (row.name, forecast_seconds_within(micros, node, work.as_ref(), row.factor))
+            (
+                row.name,
+                forecast_seconds_within(micros.saturating_sub(row.serial), node, work.as_ref(), row.factor),
+            )
         })
         .collect();
     Ok(serde_json::to_string(&limits)?)

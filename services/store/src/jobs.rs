@@ -9,6 +9,7 @@ pub(crate) mod open_jobs;
 pub(crate) mod outlooks;
 pub(crate) mod progress;
 pub(crate) mod retrying;
+pub(crate) mod serial_time;
 pub(crate) mod strip;
 pub(crate) mod submitting;
 pub(crate) mod versions;
@@ -69,6 +70,8 @@ pub(crate) struct JobRow {
     pub verdict: Option<Json<JobVerdict>>,
     pub outlook: Json<JobOutlook>,
     pub factor: f64,
+    pub serial_one_core: i64,
+    pub serial_many_cores: i64,
     pub hold: bool,
     pub terms: i64,
     pub terms_planned: i64,
@@ -92,7 +95,7 @@ macro_rules! job_rows {
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = jobs.id AND t.kind = 'video') END
                AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, error_target, limits,
                deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor,
-               hold, terms, terms_planned, error, created_at, finished_at FROM jobs "#
+               serial_one_core, serial_many_cores, hold, terms, terms_planned, error, created_at, finished_at FROM jobs "#
                 + $rest
             $(, $value)*
         )

@@ -45,7 +45,7 @@ use forelight_protocol::{
 use sqlx::{FromRow, SqliteConnection};
 
 use self::state::LeaseState;
-use crate::columns::{Id, Word};
+use crate::columns::{Id, Time, Word};
 use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event};
@@ -78,6 +78,10 @@ pub(crate) struct LeaseRow {
     pub node_id: NodeId,
     /// Speed of the node for the job's classes of work when the lease began, relative to speed 1.
     pub node_speed: f64,
+    #[sqlx(try_from = "Time")]
+    pub granted_at: Timestamp,
+    /// Whether it was interrupted: its node was paused, or the service was down.
+    pub is_interrupted: bool,
     #[sqlx(try_from = "Id")]
     pub task_id: TaskId,
     #[sqlx(try_from = "Id")]
@@ -120,7 +124,8 @@ impl LeaseRow {
 macro_rules! select_leases {
     ($rest:literal) => {
         concat!(
-            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.task_id, t.job_id, t.kind, t.frame, t.part, t.renderer, t.failures, \
+            "SELECT l.id, l.state, l.fence, l.node_id, l.node_speed, l.granted_at, l.counts_from IS NOT NULL AS is_interrupted, \
+             l.task_id, t.job_id, t.kind, t.frame, t.part, t.renderer, t.failures, \
              t.expiries, l.progress, l.divide_rest, (SELECT j.state FROM jobs j WHERE j.id = t.job_id) AS job_state, n.pause, n.drain, \
              (coalesce(n.schedule_set, n.schedule) IS NOT NULL OR n.terms <> '{}') AS has_calendar, \
              EXISTS (SELECT 1 FROM leases o WHERE o.task_id = t.id AND o.state = 'active' AND o.id <> l.id) \

@@ -19,6 +19,7 @@ use crate::database::{Store, Write};
 use crate::error::{Result, StoreError};
 use crate::events::{append, event, job_state};
 use crate::jobs::outlooks::{self, FinishSpread, JobOutlook};
+use crate::jobs::serial_time;
 use crate::living::{self, Occasion};
 use crate::plans::reading::newest;
 use crate::plans::replans::Wanted;
@@ -113,6 +114,8 @@ impl Store {
             let asked = RenderAsked { frame, work: work.get(&frame).copied(), finished };
             common.render(&mut write, asked, waits).await?;
         }
+        let renderer = row.renderer.as_ref().map(|Json(renderer)| renderer.name.as_str());
+        serial_time::expect(&mut write, job, renderer, forecast.mean_of_frames(frames.len())).await?;
         let plan_id = keep(&mut write, plan, Some(job), now).await?;
         if let Some(cache) = &plan.shared_cache {
             parts::keep_bookings(&mut write, plan_id.0, job, &cache.bookings).await?;

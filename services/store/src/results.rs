@@ -15,6 +15,7 @@ use crate::database::{Store, Write};
 use crate::division;
 use crate::error::{Result, StoreError};
 use crate::events::{append, job_state};
+use crate::jobs::serial_time;
 use crate::jobs::{self, versions};
 use crate::leases::failing::{end_attempt_beside, hold_against_others};
 use crate::leases::state::LeaseState;
@@ -383,7 +384,9 @@ async fn keep_render(
     } else {
         // A node's speed is learnt from frames that it rendered alone.
         learning::learn(write, row, node, stats).await?;
-        stats.cpu_seconds * speed
+        let at_speed_one = stats.cpu_seconds * speed;
+        serial_time::learn(write, row, node, (stats, at_speed_one), now).await?;
+        at_speed_one
     };
     // Renderers that count no work have CPU time instead, see `quote_sampled`.
     let actual_work = if row.is_of_another_renderer() { cpu_at_speed_one * 1e6 } else { stats.work as f64 };

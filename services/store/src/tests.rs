@@ -38,6 +38,7 @@ mod outputs;
 mod plans;
 mod records;
 mod retention;
+mod serial_time;
 mod shared_cache;
 mod spending;
 mod statements;

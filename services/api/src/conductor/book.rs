@@ -7,7 +7,8 @@ use forelight_protocol::{
     AccuracyRung, FrameForecast, Job, JobId, JobState, Money, Node, NodeSeconds, PlanReason, Quantiles,
     Timestamp, Verdict,
 };
-use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price};
+use forelight_quote::serial_time::SerialTime;
+use forelight_quote::{JobForecast, Quote, QuoteBasis, mean_price, mean_serial_price};
 use forelight_store::{FarmFrame, FarmJob, NewPartBooking, NewPlan, NewSharedCache, Store, StoreError};
 
 use super::bookable::bookable;
@@ -28,11 +29,12 @@ impl Conductor {
         let now = self.clock.now();
         let mut snapshot = Snapshot::read(&self.store, now).await?;
         let mut kept = forecast.job.clone();
-        price(&mut kept, forecast, &snapshot.nodes);
-        kept.cpu_seconds_on = on_calibrated(&kept, &snapshot.nodes);
         let (with_terms, spent) =
             (self.store.job_with_terms(job.id).await?, self.store.spent_on(job.id, now).await?);
-        snapshot.jobs.push(fresh(with_terms, &kept, &forecast.frames, spent));
+        let serial = serial_time(&self.store, &with_terms.0, &kept).await?;
+        price(&mut kept, forecast, &snapshot.nodes, serial);
+        kept.cpu_seconds_on = on_calibrated(&kept, &snapshot.nodes);
+        snapshot.jobs.push(fresh(with_terms, &kept, &forecast.frames, (spent, serial)));
         let foreseen = logged(foreseen(snapshot, vec![job.id]).await).pop();
         let outlook = foreseen.map(|(_, outlook)| outlook).unwrap_or_default();
         self.store.keep_quote(job.id, (&kept, &outlook), &forecast.frames, basis, now).await?;
@@ -56,11 +58,12 @@ impl Conductor {
         let mut kept = forecast.job.clone();
         // A quote that was accepted keeps its prices.
         let is_accepted = job.state == JobState::Quoted;
+        let serial = serial_time(&self.store, &job, &kept).await?;
         if !is_accepted {
-            price(&mut kept, forecast, &nodes);
+            price(&mut kept, forecast, &nodes, serial);
         }
         let spent = self.store.spent_on(job.id, now).await?;
-        snapshot.jobs.push(fresh((job.clone(), terms), &kept, &forecast.frames, spent));
+        snapshot.jobs.push(fresh((job.clone(), terms), &kept, &forecast.frames, (spent, serial)));
         let (id, rungs) = (job.id, rungs.to_vec());
         let settled = compute(move || {
             let farm = Farm::new(&snapshot);
@@ -121,11 +124,23 @@ pub(crate) async fn quoted(store: &Store, job: JobId, now: Timestamp) -> Result<
     let with_terms = store.job_with_terms(job).await?;
     let Some((kept, frames)) = store.kept_quote(job).await? else { return Ok(None) };
     let spent = store.spent_on(job, now).await?;
-    Ok(Some(fresh(with_terms, &kept, &frames, spent)))
+    let serial = serial_time(store, &with_terms.0, &kept).await?;
+    Ok(Some(fresh(with_terms, &kept, &frames, (spent, serial))))
+}
+
+/// What the last jobs of its renderer teach of a job's frames.
+async fn serial_time(store: &Store, job: &Job, kept: &JobForecast) -> Result<SerialTime, StoreError> {
+    let renderer = job.renderer.as_ref().map(|renderer| renderer.name.as_str());
+    store.expected_serial_time(renderer, kept.mean_of_frames(job.frames_total as usize)).await
 }
 
 /// A job that gets its first plan, in the form of the jobs that have one.
-fn fresh((job, terms): (Job, i64), kept: &JobForecast, frames: &[FrameForecast], spent: Money) -> FarmJob {
+fn fresh(
+    (job, terms): (Job, i64),
+    kept: &JobForecast,
+    frames: &[FrameForecast],
+    (spent, serial_time): (Money, SerialTime),
+) -> FarmJob {
     FarmJob {
         job,
         forecast: Some(kept.clone()),
@@ -143,6 +158,7 @@ fn fresh((job, terms): (Job, i64), kept: &JobForecast, frames: &[FrameForecast],
             .collect(),
         spent,
         factor: 1.0,
+        serial_time,
         held: false,
         terms,
         has_new_terms: false,
@@ -214,7 +230,7 @@ fn own_part(booking: &planner::Booking, nodes: &[Node]) -> Result<NewPartBooking
 
 /// Fills in the parts of a shared cache and all amounts of money, at the nodes' mean price for a CPU second
 /// at speed 1.
-fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
+fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node], serial: SerialTime) {
     let mean_price = mean_price(nodes, kept.work_by_class.as_ref());
     let cost = |cpu_seconds: &Quantiles| mean_price.map(|price| cpu_seconds.in_money(price));
     if let Some(cache) = &mut kept.cache {
@@ -226,7 +242,10 @@ fn price(kept: &mut JobForecast, forecast: &Quote, nodes: &[Node]) {
             shared.parts = forecast.shared_cache.as_ref().map_or(1, |plan| plan.parts(nodes.len()));
         }
     }
-    kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()));
+    let of_serial_time =
+        Money((mean_serial_price(nodes, serial) * forecast.frames.len() as f64).round() as i64);
+    kept.cost = cost(&kept.total.cpu_seconds.plus(&kept.shared_cache_seconds()))
+        .map(|cost| cost.plus(of_serial_time));
 }
 
 #[cfg(test)]

@@ -11,6 +11,7 @@ use forelight_protocol::{
 use forelight_quote::JobForecast;
 use forelight_quote::division::{Parts, most_in_passes, overhead_seconds, parts};
 use forelight_quote::living::is_news;
+use forelight_quote::serial_time::SerialTime;
 use forelight_store::{
     FarmFrame, FarmJob, HALF_LIFE, Opening, ProjectUse, Projected, Projection, Store, StoreError, Wanted,
     free_time_of, opening, project,
@@ -85,6 +86,8 @@ pub(crate) struct Asked {
     /// Factor on its forecast, now and in the plan before.
     pub factor: f64,
     pub factor_before: f64,
+    /// How long its frames keep a node beyond their CPU time.
+    pub serial_time: SerialTime,
     pub under_way: Option<i64>,
     /// Probability that the frames under way are done by its deadline, given how long they have run and how
     /// far they are. 1 without a deadline.
@@ -143,7 +146,7 @@ impl Farm {
         for farm_job in &snapshot.jobs {
             let Some(forecast) = &farm_job.forecast else { continue };
             let place = asked.len() as u64;
-            let class = demands.class(&farm_job.job, forecast.work_by_class);
+            let class = demands.class(farm_job, forecast);
             places.insert(farm_job.job.id, place);
             let factor = learned(farm_job);
             let under_way = under_way_of.remove(&farm_job.job.id).unwrap_or_default();
@@ -215,6 +218,7 @@ fn of_job(farm_job: &FarmJob, under_way: &[&Projected], factor: f64, now: Timest
         job: farm_job.job.clone(),
         factor,
         factor_before: farm_job.factor,
+        serial_time: farm_job.serial_time,
         under_way: under_way.iter().map(|frame| frame.end.micros()).max(),
         under_way_in_time: chances.product(),
         spent: farm_job.spent.micro_units(),

@@ -5,6 +5,7 @@ use forelight_protocol::{
     Quantiles, RenderSettingsRequest, SceneDigest, SceneSummary, Timestamp,
 };
 use forelight_quote::JobForecast;
+use forelight_quote::serial_time::SerialTime;
 use forelight_store::{FarmFrame, FarmJob, OpenBooking, OpenCachePart, Wanted, project};
 use serde_json::json;
 use uuid::Uuid;
@@ -114,6 +115,7 @@ pub(crate) fn farm_job(id: JobId, bookings: &[OpenBooking]) -> FarmJob {
         frames: own.iter().map(frame).collect(),
         spent: Money(0),
         factor: 1.0,
+        serial_time: SerialTime::default(),
         held: false,
         terms: 0,
         has_new_terms: false,

@@ -27,6 +27,8 @@ const LARGE: usize = 5_000;
 /// A frame has moved if its start shifts by more than this (one minute, in microseconds) and a quarter of its
 /// length.
 pub(crate) const STILL: i64 = 60_000_000;
+/// A verdict names serial time of frames from two seconds on, in microseconds.
+const MUCH_SERIAL_TIME: i64 = 2_000_000;
 /// Most jobs for which one plan looks for ways out.
 const MOST_HELPED: usize = 3;
 
@@ -300,6 +302,10 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize, hold: Option<&BudgetHo
             .push(format!("its frames take {:.0} % longer than was forecast", (asked.factor - 1.0) * 100.0));
     } else if asked.factor < 1.0 {
         reasons.push(format!("its frames take {:.0} % less than was forecast", (1.0 - asked.factor) * 100.0));
+    }
+    let serial = asked.serial_time.one_core.max(asked.serial_time.many_cores);
+    if serial >= MUCH_SERIAL_TIME {
+        reasons.push(format!("each frame keeps its node {} longer than its CPU time says", duration(serial)));
     }
     JobVerdict {
         job_id: asked.job.id,

@@ -154,8 +154,9 @@ pub(crate) async fn committed(
     now: Timestamp,
 ) -> Result<Money> {
     let rows = rows!(
-        ", f.cpu_p50 * ifnull(t.share, 1.0 / f.parts) AS \"cpu_p50!: f64\", l.node_speed * n.cores AS \"speed!: f64\"",
-        "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id \
+        ", f.cpu_p50 * ifnull(t.share, 1.0 / f.parts) AS \"cpu_p50!: f64\", l.node_speed * n.cores AS \"speed!: f64\", \
+         iif(n.cores > 1, j.serial_many_cores, j.serial_one_core) AS \"serial!: i64\"",
+        "JOIN tasks t ON t.id = l.task_id JOIN nodes n ON n.id = d.node_id JOIN jobs j ON j.id = d.job_id \
          JOIN frames f ON f.job_id = d.job_id AND f.frame = t.frame \
          WHERE d.project = ? AND d.until_at IS NULL AND t.booked_part IS NOT NULL AND f.cpu_p50 IS NOT NULL",
         project
@@ -163,7 +164,7 @@ pub(crate) async fn committed(
     .fetch_all(connection)
     .await?;
     Ok(Money(rows.into_iter().fold(0i64, |sum, row| {
-        let (cpu, speed) = (row.cpu_p50, row.speed);
-        sum.saturating_add(policy::committed(&line!(row), cpu, speed, now).0)
+        let time = policy::frame_time(row.cpu_p50, row.speed).saturating_add(row.serial);
+        sum.saturating_add(policy::committed(&line!(row), time, now).0)
     })))
 }

@@ -14,6 +14,7 @@ use crate::jobs::progress::{self, Progress};
 use crate::jobs::{JobRow, job_rows};
 use crate::policy::budgets::{Payment, spent_and_under_way};
 use forelight_quote::JobForecast;
+use forelight_quote::serial_time::SerialTime;
 
 /// A job that is booked and not over.
 #[derive(Clone, PartialEq, Debug)]
@@ -29,6 +30,8 @@ pub struct FarmJob {
     pub spent: Money,
     /// The factor that the newest plan applies to the forecast, learnt from finished frames.
     pub factor: f64,
+    /// How long its frames keep a node beyond their CPU time.
+    pub serial_time: SerialTime,
     /// Its project's budget holds it back.
     pub held: bool,
     /// How often its deadline, budget or confidence were changed.
@@ -140,6 +143,7 @@ fn farm_job(
     (payments, for_cache): (&[Payment], i64),
 ) -> Result<FarmJob> {
     let (forecast, factor) = (row.forecast.take(), row.factor);
+    let serial_time = SerialTime { one_core: row.serial_one_core, many_cores: row.serial_many_cores };
     let (terms, has_new_terms) = (row.terms, row.has_new_terms());
     let held = frames.iter().any(|row| row.frame.waits && row.held);
     let booked = frames.iter().map(|row| ((row.frame.frame.frame, row.frame.frame.part), row.cost)).collect();
@@ -149,6 +153,7 @@ fn farm_job(
         frames: frames.into_iter().map(|row| row.frame).collect(),
         spent: spent_and_under_way(payments, &booked, for_cache),
         factor,
+        serial_time,
         held,
         terms,
         has_new_terms,

@@ -89,10 +89,13 @@ fn paid(line: &LedgerLine, from: Timestamp) -> Money {
     line.until.map_or(Money(0), |until| line.cost_within(from, until))
 }
 
-/// What a frame that is being rendered is expected to cost from now on, at the median `cpu_p50` of its
-/// forecast (CPU seconds at speed 1). `speed` is that of all cores of its node together.
-pub(crate) fn committed(line: &LedgerLine, cpu_p50: f64, speed: f64, now: Timestamp) -> Money {
-    let whole = (cpu_p50 / speed * 1e6) as i64;
+/// Microseconds that so many CPU seconds at speed 1 take. `speed` is that of all cores of the node together.
+pub(crate) fn frame_time(cpu_seconds: f64, speed: f64) -> i64 {
+    (cpu_seconds / speed * 1e6) as i64
+}
+
+/// What a frame that is being rendered is expected to cost from now on, if it takes `whole` microseconds.
+pub(crate) fn committed(line: &LedgerLine, whole: i64, now: Timestamp) -> Money {
     let left = whole.saturating_sub(now.micros_since(line.from)).max(0);
     line.price_per_hour.for_micros_at_hourly_rate(left)
 }
@@ -225,7 +228,7 @@ mod tests {
     #[test]
     fn a_frame_commits_what_is_left_of_its_median_and_nothing_once_it_is_late() {
         // Two hours of CPU time at twice the speed.
-        let after = |hours: i64| committed(&line(0, None), 7200.0, 2.0, at(hours * HOUR));
+        let after = |hours: i64| committed(&line(0, None), frame_time(7200.0, 2.0), at(hours * HOUR));
         assert_eq!((after(0), after(1), after(5)), (Money(100), Money(0), Money(0)));
     }
 

@@ -213,6 +213,7 @@ async fn delete(write: &mut Write, job: JobId, now: Timestamp) -> Result<()> {
         "quote_spreads WHERE job_id = ?",
         "quotes WHERE job_id = ?",
         "node_learning WHERE job_id = ?",
+        "node_use WHERE job_id = ?",
         "left_out_jobs WHERE job_id = ?",
         "frames WHERE job_id = ?",
         "events WHERE job_id = ?",

@@ -71,7 +71,8 @@ async fn open_bookings_are_those_of_frames_not_yet_rendered() {
     let node = farm.node("a").await;
     let job = farm.booked_job(request("0-2"), node.id, at(10)).await;
     let first = farm.claim(node.id, at(10)).await.unwrap();
-    farm.commit(&first, at(20)).await;
+    // It keeps its node for its two CPU seconds and no longer.
+    farm.commit(&first, at(12)).await;
     let second = farm.claim(node.id, at(21)).await.unwrap();
     farm.store.renew(second.lease_id, &renewal(second.fence, 0.25), TTL, at(22)).await.unwrap();
     let open = farm.store.open_bookings().await.unwrap();
