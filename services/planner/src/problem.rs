@@ -74,7 +74,7 @@ impl<'a> Problem<'a> {
             nodes.iter().map(|node| windows(node, input.now, fixed.get(&node.id).unwrap_or(&none))).collect();
         let mut groups: BTreeMap<_, Vec<usize>> = BTreeMap::new();
         for (index, node) in nodes.iter().enumerate() {
-            let machine = (node.speed, &node.speeds);
+            let machine = (node.speed, &node.speeds, &node.serial);
             let terms =
                 (node.price_per_hour, node.billing_step, node.minimum_booking, node.setup, node.setup_cost);
             groups.entry((machine, terms)).or_default().push(index);
@@ -94,7 +94,7 @@ impl<'a> Problem<'a> {
         Problem { input, node_ids, job_ids, nodes, windows, classes, class_of, jobs, supply, looks }
     }
 
-    /// A node of the class. All its nodes have the same speeds.
+    /// A node of the class. All its nodes have the same speeds and serial times.
     pub fn representative(&self, class: usize) -> &'a Node {
         self.nodes[self.classes[class][0]]
     }

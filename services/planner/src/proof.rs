@@ -110,7 +110,7 @@ impl<'a> Group<'a> {
         }
         for group in &mut groups {
             // Of nodes with equal speeds and prices, one is enough.
-            let terms = |node: &&'a Node| (node.speed, node.price_per_hour, &node.speeds);
+            let terms = |node: &&'a Node| (node.speed, node.price_per_hour, &node.speeds, &node.serial);
             group.nodes.sort_unstable_by_key(terms);
             group.nodes.dedup_by_key(|node| terms(node));
         }

@@ -200,9 +200,11 @@ pub struct BudgetHold {
 }
 
 impl BudgetHold {
-    /// The earliest end of a job whose bookings end at `planned`. `None` if somebody has to raise the budget.
+    /// The end of a job whose bookings end at `planned`: what the budget holds back is done from the next period
+    /// on, in as much time as it is booked for. `None` if somebody has to raise the budget.
     pub fn end(&self, planned: Timestamp) -> Option<Timestamp> {
-        Some(self.until?.max(planned))
+        let held = planned.micros_since(self.from).max(0);
+        Some(self.until?.plus_micros(held).max(planned))
     }
 }
 

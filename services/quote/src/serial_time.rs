@@ -13,10 +13,9 @@ const WEIGHT_OF_PAST: i64 = 3;
 /// Serial time counts if it differs from what plans use by more than this share of a frame's time.
 const NEWS: f64 = 0.1;
 
-/// No single frame says more than this: so many times what its CPU time says, and a minute. Its worker may have
-/// been asleep.
-const MOST_TIMES: i64 = 10;
-const MINUTE: i64 = 60_000_000;
+/// No single frame says more than this: twice the time that one core needs, and ten minutes. It may have hung.
+const MOST_TIMES: f64 = 2.0;
+const TEN_MINUTES: i64 = 600_000_000;
 
 /// Finished frames of a job on nodes with one core, or with several. Sums, in microseconds.
 #[derive(Clone, Copy, PartialEq, Eq, Debug, Default)]
@@ -37,7 +36,7 @@ impl NodeUse {
     pub fn of_frame(seconds: f64, at_speed_one: f64, cores: u32, used: i64) -> Self {
         let micros = |seconds: f64| (seconds.max(0.0) * 1e6) as i64;
         let shared = micros(seconds / f64::from(cores.max(1)));
-        let most = shared.saturating_mul(MOST_TIMES).saturating_add(MINUTE);
+        let most = micros(seconds * MOST_TIMES).saturating_add(TEN_MINUTES);
         Self { frames: 1, cpu: micros(at_speed_one), shared, used: used.clamp(0, most) }
     }
 
@@ -123,7 +122,7 @@ mod tests {
     fn a_frame_says_how_long_it_kept_its_node_and_not_without_bound() {
         let seen = NodeUse::of_frame(80.0, 40.0, 8, 13 * SECOND);
         assert_eq!(seen, NodeUse { frames: 1, cpu: 40 * SECOND, shared: 10 * SECOND, used: 13 * SECOND });
-        assert_eq!(NodeUse::of_frame(80.0, 40.0, 8, 1000 * SECOND).used, 160 * SECOND);
+        assert_eq!(NodeUse::of_frame(80.0, 40.0, 8, 1000 * SECOND).used, 760 * SECOND);
         assert_eq!(NodeUse::of_frame(f64::NAN, -1.0, 0, -5), NodeUse { frames: 1, ..NodeUse::default() });
     }
 

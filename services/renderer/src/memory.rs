@@ -23,8 +23,9 @@ mod tests {
 
     #[test]
     fn this_process_has_a_peak_of_memory() {
-        // Memory may grow between the two looks.
-        let resident = resident_bytes();
-        assert!(resident > 1 << 16 && resident <= peak_rss_bytes(), "{resident}");
+        // Linux counts each thread's last pages late, in the two numbers not alike.
+        const LATE: u64 = 4 << 20;
+        let (resident, peak) = (resident_bytes(), peak_rss_bytes());
+        assert!(resident > 1 << 16 && resident <= peak + LATE, "{resident}, {peak}");
     }
 }

@@ -372,10 +372,9 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
         .into_iter()
         .map(|row| {
             let work = row.work_by_class.map(|it| it.0);
-            (
-                row.name,
-                forecast_seconds_within(micros.saturating_sub(row.serial), node, work.as_ref(), row.factor),
-            )
+            // However much serial time was learnt, some frame is tried again.
+            let shared = micros.saturating_sub(row.serial).max(micros / 2);
+            (row.name, forecast_seconds_within(shared, node, work.as_ref(), row.factor))
         })
         .collect();
     Ok(serde_json::to_string(&limits)?)

@@ -47,6 +47,8 @@ pub struct Waiting {
     pub booked: Option<BookedTime>,
     /// CPU seconds on a node of speed 1, 95 % quantile; `None` before the forecast.
     pub cpu_p95: Option<f64>,
+    /// How long it keeps a node beyond its CPU time, in microseconds.
+    pub serial: i64,
     /// The job's deadline, if the plan keeps it.
     pub deadline: Option<Timestamp>,
     /// Outcomes by Slurm of elements that ended before the task was done, oldest first.
@@ -158,6 +160,7 @@ impl Store {
                                                          / json_extract(t.spec, '$.cache_fill.parts')
                            WHEN 'render_part' THEN f.cpu_p95 * ifnull(t.share, 1.0 / f.parts)
                            WHEN 'render' THEN iif(f.parts = 1, f.cpu_p95, NULL) ELSE f.cpu_p95 END AS "cpu_p95?: f64",
+                      max(j.serial_one_core, j.serial_many_cores) AS "serial!: i64",
                       (SELECT group_concat(e.outcome, char(10) ORDER BY e.ended_at, e.array_id) FROM slurm_elements e
                        JOIN slurm_arrays a ON a.id = e.array_id WHERE e.task_id = t.id AND e.is_past = 0 AND a.created_at >= ifnull((SELECT
                        max(l.ended_at) FROM leases l WHERE l.task_id = t.id AND l.state = 'committed'), 0))
@@ -199,6 +202,7 @@ impl Store {
                     frame: row.frame,
                     booked,
                     cpu_p95: row.cpu_p95,
+                    serial: row.serial,
                     deadline: row.deadline_at.filter(|_| is_held && row.beside.is_none()).map(Into::into),
                     lost: row.lost.map_or(Vec::new(), |lost| lost.lines().map(str::to_owned).collect()),
                     lost_at: row.lost_at.map(Into::into),

@@ -8,6 +8,7 @@ use forelight_protocol::{
     RenderPartSpec, RenderSettings, RenderSpec, RenderedBy, RendererRequest, SampleShare, SceneDigest,
     TaskId, TaskKind, TaskLimits, TaskSpec, Timestamp, VideoSpec,
 };
+use forelight_quote::serial_time::SerialTime;
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Json};
@@ -399,10 +400,13 @@ pub(crate) async fn begin_again(write: &mut Write, task: Id, state: &'static str
 
 /// What plans pay for the work of a job.
 pub(crate) async fn rates(connection: &mut SqliteConnection, job: JobId) -> Result<Rates> {
-    let row = sqlx::query!("SELECT deadline_at, budget, work_by_class FROM jobs WHERE id = ?", job.0)
+    let row = sqlx::query!("SELECT deadline_at, budget, work_by_class, serial_one_core, serial_many_cores FROM jobs WHERE id = ?",
+        job.0
+    )
         .fetch_optional(connection)
         .await?;
     let row = row.ok_or(StoreError::NotFound("job"))?;
     let is_bounded = is_bounded(row.deadline_at.map(Into::into), row.budget.map(Money));
-    Ok(Rates { work: row.work_by_class.map(|it| it.0), is_bounded })
+    let serial = SerialTime { one_core: row.serial_one_core, many_cores: row.serial_many_cores };
+    Ok(Rates { work: row.work_by_class.map(|it| it.0), is_bounded, serial })
 }

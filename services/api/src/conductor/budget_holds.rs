@@ -51,12 +51,15 @@ pub(crate) fn budget_holds(
         let Some(payments) = payments.get_mut(project) else { continue };
         payments.sort_by_key(|payment| (payment.start, payment.job, payment.frame));
         let short = budgets.iter().filter_map(|budget| shortfall(budget, payments, farm.input.now));
-        let Some(first) = short.min_by_key(|short| (short.from, Reverse(short.until))) else { continue };
-        for (job, frames) in held_frames(&first, payments) {
+        let holding =
+            short.map(|short| (held_frames(&short, payments), short)).filter(|(held, _)| !held.is_empty());
+        let first = holding.min_by_key(|(_, short)| (short.from, Reverse(short.until)));
+        let Some((held, first)) = first else { continue };
+        for (job, frames) in held {
             let is_known = farm.jobs[job].job.budget_hold.is_some();
             let is_news =
                 i128::from(first.missing) * 100 >= i128::from(first.budget.amount.0) * i128::from(NEWS);
-            if is_known || is_news {
+            if is_known || is_news || first.in_force {
                 found[job] = Some(hold(&first, frames.len()));
             }
         }
@@ -156,7 +159,7 @@ fn hold(short: &Shortfall, frames: usize) -> BudgetHold {
     let lasts = if short.in_force {
         format!("the budget of project {project} is used up")
     } else {
-        format!("the budget of project {project} lasts until {from}")
+        format!("the budget of project {project} lasts until about {from}")
     };
     let frames_wait = if frames == 1 { "1 frame waits".to_owned() } else { format!("{frames} frames wait") };
     let missing = Money(short.missing);

@@ -29,42 +29,7 @@ struct Demand {
     needs: Option<usize>,
     /// The work by class.
     work: Option<[u64; ByClass::CLASSES]>,
-    serial: SerialShare,
-}
-
-/// Serial time of frames per CPU second at speed 1, in steps, so that many jobs share a demand. 0: none.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, Debug, Default)]
-struct SerialShare {
-    one_core: u16,
-    many_cores: u16,
-}
-
-impl SerialShare {
-    /// The share of step 1: little, even on a node of a hundred cores.
-    const LEAST: f64 = 1e-4;
-    const STEP: f64 = 1.05;
-
-    /// `frame_cpu` is the mean CPU time of a frame at speed 1, in seconds.
-    fn new(serial: SerialTime, frame_cpu: f64) -> Self {
-        let step = |micros: i64| {
-            let share = micros as f64 * 1e-6 / frame_cpu;
-            // Saturating: no frames, or such that take no CPU time, are beyond all steps.
-            if micros <= 0 || share < Self::LEAST {
-                0
-            } else {
-                ((share / Self::LEAST).log(Self::STEP) + 1.5) as u16
-            }
-        };
-        Self { one_core: step(serial.one_core), many_cores: step(serial.many_cores) }
-    }
-
-    /// The speed of a node of this speed, all cores together, at frames with serial time.
-    fn slowed(self, speed: f64, cores: u32) -> f64 {
-        match if cores > 1 { self.many_cores } else { self.one_core } {
-            0 => speed,
-            step => speed / (1.0 + speed * Self::LEAST * Self::STEP.powf(f64::from(step) - 1.0)),
-        }
-    }
+    serial: SerialTime,
 }
 
 impl Demands {
@@ -72,9 +37,8 @@ impl Demands {
     pub fn class(&mut self, farm_job: &FarmJob, forecast: &JobForecast) -> u32 {
         let needs = farm_job.job.needs().map(|needs| self.needs.insert_full(needs).0);
         let work = forecast.work_by_class.map(ByClass::to_array);
-        let frames = usize::try_from(farm_job.job.frames_total).unwrap_or(usize::MAX);
-        let serial =
-            SerialShare::new(farm_job.serial_time, forecast.mean_of_frames(frames) * farm_job.factor);
+        let SerialTime { one_core, many_cores } = farm_job.serial_time;
+        let serial = SerialTime { one_core: rounded(one_core), many_cores: rounded(many_cores) };
         let (place, _) = self.list.insert_full(Demand { needs, work, serial });
         u32::try_from(place + 1).unwrap_or(GENERAL)
     }
@@ -82,55 +46,79 @@ impl Demands {
     /// Speeds of a node for the classes that it does not do at its general speed. 0 if it lacks what they need.
     pub fn speeds(&self, node: &Node) -> Arc<BTreeMap<u32, u64>> {
         let has: Vec<bool> = self.needs.iter().map(|needs| node.has(needs)).collect();
-        let speed = |&Demand { needs, work, serial }: &Demand| {
+        let speed = |&Demand { needs, work, .. }: &Demand| {
             if needs.is_some_and(|needs| !has[needs]) {
                 return Some(0);
             }
-            let work = work.map(ByClass::from_array);
-            if serial == SerialShare::default() && node.corrected_speed(work.as_ref()).is_none() {
-                return None;
-            }
-            let speed = node.speed_for(work.as_ref()) * f64::from(node.cores);
-            Some(units(serial.slowed(speed, node.cores)).max(1))
+            let speed = node.corrected_speed(work.map(ByClass::from_array).as_ref())?;
+            Some(units(speed * f64::from(node.cores)).max(1))
         };
         let classes = (GENERAL + 1..).zip(&self.list);
         Arc::new(classes.filter_map(|(class, demand)| Some((class, speed(demand)?))).collect())
     }
+
+    /// Serial times of tasks by class, on nodes of one core and of several.
+    pub fn serial_times(&self) -> OfNodes {
+        let of_nodes = |cores| {
+            let classes = (GENERAL + 1..).zip(&self.list);
+            let times = classes.map(|(class, demand)| (class, demand.serial.on(cores)));
+            Arc::new(times.filter(|&(_, time)| time > 0).collect())
+        };
+        OfNodes { one_core: of_nodes(1), many_cores: of_nodes(2) }
+    }
+}
+
+/// Serial times by class of work, in microseconds.
+pub(super) struct OfNodes {
+    one_core: Arc<BTreeMap<u32, i64>>,
+    many_cores: Arc<BTreeMap<u32, i64>>,
+}
+
+impl OfNodes {
+    pub fn on(&self, cores: u32) -> Arc<BTreeMap<u32, i64>> {
+        Arc::clone(if cores > 1 { &self.many_cores } else { &self.one_core })
+    }
+}
+
+/// Serial time to four bits, so that many jobs share a demand. Less than ten milliseconds is none.
+fn rounded(micros: i64) -> i64 {
+    if micros < 10_000 {
+        return 0;
+    }
+    let dropped = (i64::BITS - micros.leading_zeros()).saturating_sub(4);
+    (micros >> dropped) << dropped
 }
 
 #[cfg(test)]
 mod tests {
+    use forelight_planner as planner;
+
     use super::*;
 
-    /// A frame of so many CPU seconds takes so many seconds on a node of this speed, all cores together.
-    fn takes(cpu: f64, serial: f64, (speed, cores): (f64, u32)) -> f64 {
-        let micros = (serial * 1e6) as i64;
-        let share = SerialShare::new(SerialTime { one_core: 0, many_cores: micros }, cpu);
-        cpu / share.slowed(speed, cores)
-    }
-
     #[test]
-    fn serial_time_is_added_to_the_time_of_a_frame_whatever_the_cores() {
-        for (speed, cores) in [(2.0, 2), (8.0, 16), (64.0, 64)] {
-            for serial in [0.5, 20.0, 3600.0] {
-                let expected = 100.0 / speed + serial;
-                let found = takes(100.0, serial, (speed, cores));
-                assert!(
-                    (found / expected - 1.0).abs() < 0.03,
-                    "{serial} s, {cores} cores: {found}, {expected}"
-                );
-            }
+    fn serial_time_is_added_to_the_time_of_a_task_on_any_number_of_cores() {
+        let of = |one_core, many_cores| Demand {
+            needs: None,
+            work: None,
+            serial: SerialTime { one_core, many_cores },
+        };
+        let demands = Demands { needs: IndexSet::new(), list: [of(0, 0), of(3, 8)].into() };
+        let times = demands.serial_times();
+        for (cores, serial) in [(1, 3), (2, 8), (64, 8)] {
+            let speed = 100 * u64::from(cores);
+            let node = planner::Node { speed, serial: times.on(cores), ..planner::Node::default() };
+            let alone = 1_000_000 * 1000 / i64::try_from(speed).unwrap();
+            assert_eq!([1, 2].map(|class| node.duration(1000, class).unwrap() - alone), [0, serial]);
+            assert_eq!(node.time_of(1000, 2), Some(alone));
         }
-        assert_eq!(takes(100.0, 20.0, (1.0, 1)), 100.0, "that of nodes with one core is another");
-        assert_eq!(takes(100.0, 0.0, (8.0, 16)), 12.5);
-        assert_eq!(takes(1e6, 0.5, (8.0, 16)), 125_000.0, "so little is none");
     }
 
     #[test]
-    fn frames_without_cpu_time_are_slow_and_not_for_ever() {
-        let share = SerialShare::new(SerialTime { one_core: 1, many_cores: 1 }, 0.0);
-        let speed = share.slowed(8.0, 16);
-        assert!((0.0..1e-6).contains(&speed), "{speed}");
-        assert_eq!(SerialShare::new(SerialTime::default(), 0.0), SerialShare::default());
+    fn serial_times_that_differ_little_are_one() {
+        assert_eq!([0, 9_999, 10_000, i64::MAX].map(rounded), [0, 0, 9_216, 15 << 59]);
+        assert_eq!(rounded(3_000_000), rounded(3_050_000));
+        for micros in [20_000, 3_333_333, 777_777_777] {
+            assert!((0.88..=1.0).contains(&(rounded(micros) as f64 / micros as f64)));
+        }
     }
 }

@@ -1,7 +1,6 @@
 //! The farm as planner input. Nodes, jobs and projects are numbered by their place in a list.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
@@ -18,7 +17,7 @@ use forelight_store::{
 };
 
 use super::bookable::bookable;
-use super::demands::Demands;
+use super::demands::{Demands, OfNodes};
 use super::numbers::number;
 
 pub(super) const MOST_NODES: u32 = 10_000;
@@ -161,10 +160,11 @@ impl Farm {
         let last = deadlines.max().unwrap_or(now).clamp(now, now.plus_micros(FURTHEST));
         let horizon = last.plus_micros(BEYOND);
         let nodes = snapshot.nodes.iter().zip(0..);
+        let serial = demands.serial_times();
         let input = planner::Input {
             now: now.micros(),
             nodes: nodes
-                .map(|(node, id)| planner_node(node, id, (now, horizon), demands.speeds(node), spare))
+                .map(|(node, id)| planner_node(node, id, (now, horizon), (&demands, &serial), spare))
                 .collect(),
             fixed: under_way(snapshot, &index, &places),
             projects: snapshot
@@ -284,7 +284,7 @@ fn planner_node(
     node: &Node,
     id: u64,
     (now, horizon): (Timestamp, Timestamp),
-    speeds: Arc<BTreeMap<u32, u64>>,
+    (demands, serial): (&Demands, &OfNodes),
     spare: u64,
 ) -> planner::Node {
     const SECOND: i64 = 1_000_000;
@@ -300,13 +300,14 @@ fn planner_node(
         setup: seconds(node.terms.setup_seconds),
         power: if awake { planner::Power::On } else { planner::Power::Standby },
         available_from: now.micros(),
-        speeds,
+        speeds: demands.speeds(node),
+        serial: serial.on(node.cores),
         ..planner::Node::default()
     };
     // Tasks that might outlast the window are not handed out, so the plan ends the window earlier: by what the work
     // takes that is slowest here.
     let classes = std::iter::once(0).chain(found.speeds.keys().copied());
-    let spare = classes.filter_map(|class| found.duration(spare, class)).max().unwrap_or(0);
+    let spare = classes.filter_map(|class| found.time_of(spare, class)).max().unwrap_or(0);
     found.calendar = free_time_of(node, now, horizon)
         .into_iter()
         .map(|open| Interval {

@@ -1,6 +1,6 @@
-//! New plans after events, which the database counts (`forelight_store::Wanted`). Two cases write no event
-//! and are watched for here: a node that falls silent or returns, and a job that will miss its promise
-//! although its frames are on forecast.
+//! New plans after events, which the database counts (`forelight_store::Wanted`). Three cases write no event
+//! and are watched for here: a node that falls silent or returns, a job that will miss its promise although its
+//! frames are on forecast, and a budget that was to hold a job by now.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -98,7 +98,9 @@ impl Conductor {
         let returned = returned.iter().map(|node| format!("node {} is back", name(node)));
         let lost = lost.iter().map(|node| format!("node {} is not responding", name(node)));
         let late = late.iter().map(|job| format!("job {} will miss its promise", names[job]));
-        for cause in returned.chain(lost).chain(late) {
+        let held = self.store.past_budget_holds(now).await?;
+        let held = held.iter().map(|job| format!("the budget of job {job} lasts longer than expected"));
+        for cause in returned.chain(lost).chain(late).chain(held) {
             self.store.want_plan(&cause).await?;
         }
         // Not before, so that nothing is forgotten if the store fails.

@@ -61,6 +61,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     planner::verify(&whole, &plan).map_err(Unsettled::Refused)?;
     let (risks, finish) = risks(farm, &plan)?;
     let before = by_job(&farm.standing, farm.jobs.len());
+    let booked = by_job(&farm.booked, farm.jobs.len());
     let after = by_job(&plan.bookings, farm.jobs.len());
     let waits = waits(farm, &plan, &after)?;
     let holds = budget_holds(farm, &plan, &farm.input.fixed);
@@ -74,7 +75,12 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
             // Its bookings stay until another job needs the time. It goes on there when the budget lets it.
             return is_asked;
         }
-        is_asked || says_new || asked.factor != asked.factor_before || has_moved(&before[job], &after[job])
+        let is_resized = is_resized(&booked[job], &after[job]);
+        is_asked
+            || says_new
+            || asked.factor != asked.factor_before
+            || is_resized
+            || has_moved(&before[job], &after[job])
     };
     let news: Vec<bool> = verdicts.iter().enumerate().map(says_new).collect();
     let booked_anew = make_way(&farm.booked, &plan.bookings, news);
@@ -234,6 +240,16 @@ fn has_moved(before: &[&Booking], after: &[&Booking]) -> bool {
     before.len() != after.len() || !before.iter().all(still)
 }
 
+/// Whether what waits of a job takes at least a tenth more or less time than it is booked for.
+fn is_resized(booked: &[&Booking], after: &[&Booking]) -> bool {
+    let lengths: BTreeMap<planner::Task, i64> =
+        booked.iter().map(|one| (one.task, one.end - one.start)).collect();
+    let both = after.iter().filter_map(|one| Some((*lengths.get(&one.task)?, one.end - one.start)));
+    let (before, now) =
+        both.fold((0i64, 0i64), |sum, one| (sum.0.saturating_add(one.0), sum.1.saturating_add(one.1)));
+    now.abs_diff(before) > before.unsigned_abs() / 10
+}
+
 /// Whether a task stayed in place, within the tolerance.
 pub(crate) fn stayed(before: &Booking, after: &Booking) -> bool {
     let by = after.start.saturating_sub(before.start).saturating_abs();
@@ -303,7 +319,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize, hold: Option<&BudgetHo
     } else if asked.factor < 1.0 {
         reasons.push(format!("its frames take {:.0} % less than was forecast", (1.0 - asked.factor) * 100.0));
     }
-    let serial = asked.serial_time.one_core.max(asked.serial_time.many_cores);
+    let serial = farm.nodes.iter().map(|node| asked.serial_time.on(node.cores)).max().unwrap_or(0);
     if serial >= MUCH_SERIAL_TIME {
         reasons.push(format!("each frame keeps its node {} longer than its CPU time says", duration(serial)));
     }

@@ -148,7 +148,8 @@ fn batch(
 fn limit(task: &Waiting, pricing: Pricing) -> u32 {
     let minutes = match task.cpu_p95 {
         Some(cpu) if task.kind.is_booked() => {
-            (cpu.max(0.0) / pricing.slowest.max(1e-6) * SAFETY + START_UP) / 60.0
+            let time = cpu.max(0.0) / pricing.slowest.max(1e-6) + task.serial as f64 * 1e-6;
+            (time * SAFETY + START_UP) / 60.0
         }
         _ => f64::from(pricing.quote_minutes),
     };
@@ -185,6 +186,7 @@ mod tests {
                 end: at(start + 60),
             }),
             cpu_p95: Some(60.0),
+            serial: 0,
             deadline: Some(at(7200)),
             lost: Vec::new(),
             lost_at: None,

@@ -113,6 +113,7 @@ impl Description {
             name: entry.name.clone(),
             speed: scaled(entry.speed, WORK_PER_SECOND, &at, "speed")?,
             speeds: Arc::new(demands.speeds(entry)?),
+            serial: Arc::default(),
             price_per_hour: money(entry.price_per_hour, &at, "price_per_hour")?,
             billing_step: time(&entry.billing_step, "billing_step")?,
             minimum_booking: time(&entry.minimum_booking, "minimum_booking")?,

@@ -21,6 +21,9 @@ pub struct Node {
     /// Work per second by class of work. Zero if the node lacks the memory, cores or GPU for it. Copies of
     /// a farm share it.
     pub speeds: Arc<BTreeMap<u32, u64>>,
+    /// Microseconds that every task takes beyond its work, by class of work: time that cores do not share. Copies
+    /// of a farm share it.
+    pub serial: Arc<BTreeMap<u32, i64>>,
     /// Price of a rented hour in micro-units. Not negative.
     pub price_per_hour: i64,
     /// Rented time is billed in multiples of this many microseconds. 0 or 1: to the microsecond.
@@ -91,9 +94,14 @@ impl Node {
         }
     }
 
+    /// Microseconds that a task of this work keeps the node: [`Node::time_of`] and its serial time.
+    pub fn duration(&self, work: u64, class: u32) -> Option<i64> {
+        self.time_of(work, class)?.checked_add(self.serial.get(&class).copied().unwrap_or(0))
+    }
+
     /// Microseconds that the node needs for this work, rounded up, at least one. `None` if that overflows, or
     /// the node cannot do work of this class.
-    pub fn duration(&self, work: u64, class: u32) -> Option<i64> {
+    pub fn time_of(&self, work: u64, class: u32) -> Option<i64> {
         let speed = self.speed_of(class);
         if speed > 0
             && let Some(amount) = work.checked_mul(MICROSECONDS_PER_SECOND as u64)

@@ -87,6 +87,9 @@ async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<V
         .map(|row| {
             let work = row.work_by_class.map(|it| it.0);
             let verdict = row.verdict.map(|it| it.0);
+            let outlook = row.outlook.0;
+            // Dearer nodes would use up the rest of its project's budget sooner.
+            let lacks_money = outlook.budget_hold.is_some();
             let deadline: Option<Timestamp> = row.deadline_at.map(Into::into);
             let is_bounded = is_bounded(deadline, row.budget.map(Money));
             BookedJob {
@@ -94,7 +97,8 @@ async fn booked_jobs(connection: &mut SqliteConnection, node: &Node) -> Result<V
                 name: row.name,
                 due: deadline.map_or(i64::MAX, Timestamp::micros),
                 priority: row.priority,
-                for_everybody: !is_bounded || is_at_risk(row.outlook.0.promise.as_ref(), verdict.as_ref()),
+                for_everybody: !is_bounded
+                    || (is_at_risk(outlook.promise.as_ref(), verdict.as_ref()) && !lacks_money),
                 rate: rate(node, work.as_ref()),
             }
         })

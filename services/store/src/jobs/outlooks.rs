@@ -38,6 +38,10 @@ pub struct JobOutlook {
     pub takes: Option<i64>,
 }
 
+/// A budget that was expected to hold a job so long ago, and does not, lasts longer than expected: ten minutes, in
+/// microseconds.
+const HOLD_BEGINS_WITHIN: i64 = 600_000_000;
+
 impl Store {
     /// The jobs with a quote that waits to be accepted, newest first, at most `limit`.
     pub async fn held_quotes(&self, limit: u32) -> Result<Vec<JobId>> {
@@ -72,6 +76,23 @@ impl Store {
         .fetch_all(self.readers())
         .await?;
         Ok(rows.into_iter().map(|row| (row.id.into(), row.name, row.deadline.into())).collect())
+    }
+
+    /// Names of booked jobs that are said to be held by a budget, where that should have begun some time ago, or is
+    /// over.
+    pub async fn past_budget_holds(&self, now: Timestamp) -> Result<Vec<String>> {
+        let rows = sqlx::query!(
+            r#"SELECT name, outlook FROM jobs INDEXED BY jobs_open
+               WHERE stage IN ('previewing', 'profiling', 'booked', 'rendering')
+               AND state IN ('booked', 'rendering') AND json_extract(outlook, '$.budget_hold') IS NOT NULL"#
+        )
+        .fetch_all(self.readers())
+        .await?;
+        let is_past = |hold: &BudgetHold| {
+            hold.until.is_some_and(|until| until <= now) || hold.from.plus_micros(HOLD_BEGINS_WITHIN) <= now
+        };
+        let past = rows.into_iter().filter(|row| row.outlook.0.budget_hold.as_ref().is_some_and(is_past));
+        Ok(past.map(|row| row.name).collect())
     }
 
     /// Fills in when jobs are expected to end, by the expected ends of the open bookings.

@@ -12,7 +12,6 @@ use crate::database::{Store, Write};
 use crate::error::Result;
 use crate::leases::LeaseRow;
 use crate::plans::replans;
-use crate::quotes::left_out::is_left_out;
 use crate::writing::run;
 
 /// Rows of other jobs that are read: each job has one or two.
@@ -82,7 +81,7 @@ pub(crate) async fn learn(
     )
     .fetch_one(write.connection().await?)
     .await?;
-    if !is_due(frames) || is_left_out(write, row.job_id).await? {
+    if !is_due(frames) {
         return Ok(());
     }
     let connection = write.connection().await?;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
-use forelight_protocol::{Booking, BookingId, ByClass, JobId, Node, NodeId, Timestamp};
+use forelight_protocol::{Booking, BookingId, JobId, Node, NodeId, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Time};
@@ -12,6 +12,7 @@ use crate::error::Result;
 use crate::nodes::read_any;
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenBooking};
+use crate::policy::work_stealing::Rates;
 use crate::tasks::rates;
 
 /// A booking with its task.
@@ -125,7 +126,8 @@ async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Res
     for OpenBooking { booking, holder } in &mut bookings {
         if let Some(holder) = holder {
             let nodes = (booking.node_id, holder.node_id);
-            holder.slowness = speeds.slowness(connection, booking.job_id, nodes).await?;
+            let length = booking.end.micros_since(booking.start);
+            holder.slowness = speeds.slowness(connection, booking.job_id, nodes, length).await?;
         }
     }
     Ok(bookings)
@@ -135,33 +137,38 @@ async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Res
 #[derive(Default)]
 pub(crate) struct Speeds {
     nodes: BTreeMap<NodeId, Node>,
-    work: BTreeMap<JobId, Option<ByClass>>,
+    jobs: BTreeMap<JobId, Rates>,
 }
 
 impl Speeds {
-    /// How many times as long the job's work takes on the second of these nodes as on the first.
+    /// How many times as long a task of the job takes on the second of these nodes as on the first, where it is
+    /// booked for `length` microseconds.
     pub async fn slowness(
         &mut self,
         connection: &mut SqliteConnection,
         job: JobId,
         (booked, holder): (NodeId, NodeId),
+        length: i64,
     ) -> Result<f64> {
         if booked == holder {
             return Ok(1.0);
         }
-        let work = match self.work.entry(job) {
-            Entry::Occupied(known) => *known.get(),
-            Entry::Vacant(unknown) => *unknown.insert(rates(connection, job).await?.work),
+        let of_job = match self.jobs.entry(job) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(unknown) => unknown.insert(rates(connection, job).await?),
         };
-        let mut speeds = [0.0; 2];
-        for (speed, id) in speeds.iter_mut().zip([booked, holder]) {
+        let (mut speeds, mut serial) = ([0.0; 2], [0; 2]);
+        for ((speed, serial), id) in speeds.iter_mut().zip(&mut serial).zip([booked, holder]) {
             let node = match self.nodes.entry(id) {
                 Entry::Occupied(known) => known.into_mut(),
                 Entry::Vacant(unknown) => unknown.insert(read_any(connection, id).await?),
             };
-            *speed = node.speed_for(work.as_ref()) * f64::from(node.cores);
+            *speed = node.speed_for(of_job.work.as_ref()) * f64::from(node.cores);
+            *serial = of_job.serial.on(node.cores);
         }
-        let slowness = speeds[0] / speeds[1];
+        // A booking that was made before serial time was learnt has none.
+        let shared = length.saturating_sub(serial[0]).max(length / 10) as f64;
+        let slowness = (shared * speeds[0] / speeds[1] + serial[1] as f64) / length as f64;
         Ok(if slowness.is_finite() && slowness > 0.0 { slowness } else { 1.0 })
     }
 }

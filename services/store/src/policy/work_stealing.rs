@@ -16,6 +16,8 @@
 
 use forelight_protocol::{ByClass, JobVerdict, Money, Node, Promise, Timestamp, Verdict};
 
+use forelight_quote::serial_time::SerialTime;
+
 use super::nodes::SAME_SPEED;
 
 /// A frame that has not begun this long after its planned start may be taken by any idle node: a minute, in
@@ -70,6 +72,8 @@ pub(crate) struct Rates {
     pub work: Option<ByClass>,
     /// Whether the job has a deadline or a budget.
     pub is_bounded: bool,
+    /// How long its frames keep a node beyond their CPU time.
+    pub serial: SerialTime,
 }
 
 impl Rates {
@@ -127,7 +131,7 @@ mod tests {
 
     #[test]
     fn only_bounded_jobs_have_rates() {
-        let rates = |is_bounded| Rates { work: None, is_bounded };
+        let rates = |is_bounded| Rates { work: None, is_bounded, serial: SerialTime::default() };
         assert_eq!(rates(false).on(&node()), None);
         assert_eq!(rates(true).on(&node()), Some(rate(&node(), None)));
         assert!(is_bounded(None, Some(Money(0))) && !is_bounded(None, None));

@@ -117,7 +117,8 @@ async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Res
     for OpenCachePart { booking, holder, .. } in &mut parts {
         if let Some(holder) = holder {
             let nodes = (booking.node_id, holder.node_id);
-            holder.slowness = speeds.slowness(connection, booking.job_id, nodes).await?;
+            let length = booking.end.micros_since(booking.start);
+            holder.slowness = speeds.slowness(connection, booking.job_id, nodes, length).await?;
         }
     }
     Ok(parts)

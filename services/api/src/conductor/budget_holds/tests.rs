@@ -66,13 +66,12 @@ fn frames_that_are_booked_after_the_money_is_spent_wait_for_the_next_period() {
     assert_eq!(in_short(&farm(vec![budget(2 * ONE, 0)], 1)), Some((at(HOUR), 2, 200)));
     assert_eq!(in_short(&farm(vec![budget(5 * ONE, 3 * ONE)], 1)), Some((at(HOUR), 2, 200)));
     let told = found(&farm(vec![budget(2 * ONE, 0)], 1)).unwrap();
-    assert_eq!(
-        (told.until, told.end(at(HOUR)), told.end(at(30 * HOUR))),
-        (Some(at(18 * HOUR)), Some(at(18 * HOUR)), Some(at(30 * HOUR)))
-    );
+    assert_eq!(told.until, Some(at(18 * HOUR)));
+    // What waits is done in the next period, in as much time as it is booked for.
+    assert_eq!([4, 30].map(|hours| told.end(at(hours * HOUR))), [Some(at(21 * HOUR)), Some(at(47 * HOUR))]);
     assert_eq!(
         told.because,
-        "the budget of project film lasts until 2026-03-01T19:00:00.000000Z: 2 frames wait until \
+        "the budget of project film lasts until about 2026-03-01T19:00:00.000000Z: 2 frames wait until \
          2026-03-02T12:00:00.000000Z, or until it is raised by 2.00"
     );
 }
@@ -104,6 +103,11 @@ fn of_several_budgets_the_first_to_run_short_holds() {
     assert_eq!((hold.period, hold.from, hold.until), (BudgetPeriod::Total, at(HOUR), None));
     assert_eq!(hold.end(at(4 * HOUR)), None);
     assert!(hold.because.ends_with("2 frames wait until it is raised by 2.00"), "{}", hold.because);
+    // Nothing is booked before the end of a night whose money is spent.
+    let spent = Budget { action: Some(BudgetAction::Drain), until: at(0), ..budget(ONE, ONE) };
+    let short = spent.until;
+    let hold = found(&farm(vec![spent, in_all(2 * ONE)], 1)).unwrap();
+    assert_eq!((hold.period, short), (BudgetPeriod::Total, at(0)));
     // At the same time, the longer hold counts.
     let hold = found(&farm(vec![budget(2 * ONE, 0), in_all(2 * ONE)], 1)).unwrap();
     assert_eq!(hold.period, BudgetPeriod::Total);
@@ -115,6 +119,9 @@ fn a_budget_that_holds_already_holds_a_new_quote_at_once() {
     let hold = found(&farm(vec![used_up.clone()], 1)).unwrap();
     assert_eq!((hold.from, hold.frames), (at(0), 4));
     assert!(hold.because.starts_with("the budget of project film is used up: 4 frames wait"));
+    // However little is missing.
+    let nearly = Budget { action: Some(BudgetAction::Drain), ..budget(1000 * ONE, 1000 * ONE) };
+    assert_eq!(found(&farm(vec![nearly], 1)).map(|hold| hold.frames), Some(4));
     // A job that is held is told so already, and pays nothing.
     let mut held = farm(vec![used_up], 1);
     held.jobs[0].held = true;
@@ -144,7 +151,7 @@ fn no_deadline_is_promised_that_a_budget_will_break() {
     let of_night = |amount| budget(amount, 0);
     let end = Some(at(4 * HOUR));
     assert_eq!(said(5 * ONE, Some(5 * HOUR), of_night), (Verdict::OnTime, end, Some(true), Some(1.0)));
-    let next_night = Some(at(18 * HOUR));
+    let next_night = Some(at(21 * HOUR));
     assert_eq!(said(2 * ONE, Some(5 * HOUR), of_night), (Verdict::Late, next_night, None, Some(0.0)));
     // Time enough for the next night's money.
     assert_eq!(said(2 * ONE, Some(40 * HOUR), of_night).0, Verdict::OnTime);

@@ -53,6 +53,31 @@ fn a_job_that_a_budget_holds_keeps_its_place_only_until_another_needs_it() {
 }
 
 #[test]
+fn a_job_is_booked_anew_when_its_frames_keep_their_node_longer() {
+    const HOUR: i64 = 3600;
+    let open: Vec<_> = (0..2)
+        .map(|frame| {
+            waiting(booking(job_id(1), frame, 1, (HOUR * i64::from(frame), HOUR * i64::from(frame + 1))))
+        })
+        .collect();
+    let booked_for = |minutes: i64| {
+        let mut job = farm_job(job_id(1), &open);
+        job.serial_time.one_core = minutes * 60_000_000;
+        job.job.verdict = None;
+        let mut snapshot = snapshot(vec![node(1, 0, 1000, serde_json::Value::Null)], vec![job], &open, &[]);
+        let first = settle(&Farm::new(&snapshot), None).unwrap();
+        // Its verdict is known, so that only the time is news.
+        snapshot.jobs[0].job.verdict = Some(first.jobs[0].verdict.clone());
+        let settled = settle(&Farm::new(&snapshot), None).unwrap();
+        let lengths = settled.jobs.iter().flat_map(|job| &job.bookings);
+        lengths.map(|booking| booking.end.micros_since(booking.start) / 60_000_000).collect::<Vec<_>>()
+    };
+    assert!(booked_for(0).is_empty(), "nothing is news");
+    assert!(booked_for(5).is_empty(), "less than a tenth");
+    assert_eq!(booked_for(32), [60 + 31, 60 + 31], "to four bits");
+}
+
+#[test]
 fn who_lies_where_another_is_booked_now_is_booked_anew_and_so_on() {
     // Job 3 is new at 0. Job 0 makes way for it, and job 1 for job 0. Job 2 has its own node.
     let booked = bookings([(0, 0, 0, 10), (1, 0, 10, 20), (2, 1, 0, 20)]);
