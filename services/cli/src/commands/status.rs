@@ -251,7 +251,9 @@ fn ready(job: &Job, now: Timestamp) -> String {
         (state, _, _) if state.is_final() => return format!("never: the job {}", ended(state)),
         (JobState::Quoted, _, Some(at)) => (at, format!("at {} if it is accepted now", clock(at, now))),
         (_, _, Some(at)) => (at, format!("at {} by the current plan", clock(at, now))),
-        (_, _, None) if job.budget_hold.is_some() => return "not before the budget is raised".to_owned(),
+        (_, _, None) if job.budget_hold.as_ref().is_some_and(|hold| hold.until.is_none()) => {
+            return "not before the budget is raised".to_owned();
+        }
         (_, _, None) if job.plan_id.is_none() => {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
             return format!("not known before the job is booked{deadline}");

@@ -82,7 +82,7 @@ impl Image {
     /// `rendered`: how many samples the image has, by view layer; `most` where that is not known.
     pub fn mean_samples(&self, rendered: &BTreeMap<String, u32>, most: u32) -> Result<f64, RendererError> {
         let channels = || self.exr.layer_data.iter().flat_map(|layer| &layer.channel_data.list);
-        let (mut all, mut single) = (0.0, 0.0);
+        let mut pixels = Vec::new();
         for counted in channels().filter(|c| pass_of(c) == SAMPLES) {
             let of = view_layer(counted);
             let mut times = channels().filter(|c| TIME.contains(&pass_of(c)) && view_layer(c) == of);
@@ -92,15 +92,12 @@ impl Image {
             for (pixel, &share) in floats(counted).unwrap_or_default().iter().enumerate() {
                 let samples = (f64::from(share) * rendered).max(1.0);
                 let time = times.map_or(samples, |times| f64::from(times[pixel]));
-                all += time;
-                single += time / samples;
+                pixels.push((samples, time / samples));
             }
         }
-        if single > 0.0 {
-            Ok(all / single)
-        } else {
-            Err(RendererError::Answer("the image does not say how many samples its pixels took".to_owned()))
-        }
+        weighted_mean(&mut pixels).ok_or_else(|| {
+            RendererError::Answer("the image does not say how many samples its pixels took".to_owned())
+        })
     }
 
     /// The image for viewing. Black where the file has no image.
@@ -409,4 +406,40 @@ pub(crate) fn scaled(n: u64, to: u64, from: u64) -> u64 {
 
 fn failed(path: &Path) -> impl FnOnce(exr::error::Error) -> RendererError {
     move |error| RendererError::Answer(format!("{}: {error}", path.display()))
+}
+
+/// A pixel in which the process lost the processor seems to cost many times what it does. So no sample of a pixel
+/// weighs more than this many times one of the dearest twentieth.
+const MOST_WEIGHT: f64 = 3.0;
+
+/// Mean of the first numbers, weighted by the second ones. `None` if these are all 0.
+fn weighted_mean(pixels: &mut [(f64, f64)]) -> Option<f64> {
+    pixels.sort_by(|one, other| one.1.total_cmp(&other.1));
+    let (_, dear) = *pixels.get(pixels.len() * 19 / 20)?;
+    let weight = |weight: f64| weight.min(MOST_WEIGHT * dear);
+    let all: f64 = pixels.iter().map(|&(samples, cost)| samples * weight(cost)).sum();
+    let weights: f64 = pixels.iter().map(|&(_, cost)| weight(cost)).sum();
+    (weights > 0.0).then(|| all / weights)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pixel_that_was_interrupted_does_not_decide_the_mean() {
+        let even = |samples: f64| (samples, 1.0);
+        let mut pixels: Vec<(f64, f64)> =
+            (0..100).map(|i| even(if i < 50 { 100.0 } else { 200.0 })).collect();
+        assert_eq!(weighted_mean(&mut pixels), Some(150.0));
+        pixels.push((200.0, 1000.0));
+        let found = weighted_mean(&mut pixels).unwrap();
+        assert!((found - (150.0 * 100.0 + 200.0 * 3.0) / 103.0).abs() < 1e-9, "{found}");
+        // What is dear everywhere counts whole.
+        let mut dear: Vec<(f64, f64)> =
+            (0..100).map(|i| if i < 90 { (10.0, 1.0) } else { (50.0, 40.0) }).collect();
+        assert!((weighted_mean(&mut dear).unwrap() - (900.0 + 20_000.0) / 490.0).abs() < 1e-9);
+        assert_eq!(weighted_mean(&mut []), None);
+        assert_eq!(weighted_mean(&mut [(4.0, 0.0)]), None);
+    }
 }
