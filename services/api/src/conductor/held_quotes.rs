@@ -64,11 +64,10 @@ pub(super) async fn foreseen(
 fn outlook(farm: &Farm, job: usize) -> Result<JobOutlook, AdvanceError> {
     let around = farm.around(job, &farm.standing);
     let plan = planner::plan(&around)?;
-    let Risk { probability, finish } = risk(farm, &around, &plan, job)?;
     let planned = end(farm, &plan, job);
     let takes = planned.map(|end| end.saturating_sub(farm.input.now));
     let budget_hold = budget_holds(farm, &plan, &around.fixed).swap_remove(job);
     let lacks_money = lacks_money(&farm.jobs[job], planned, budget_hold.as_ref());
-    let probability = probability.map(|found| if lacks_money { 0.0 } else { found });
+    let Risk { probability, finish } = risk(farm, &around, &plan, job)?.given_money(lacks_money);
     Ok(JobOutlook { probability, finish, takes, budget_hold, ..JobOutlook::default() })
 }

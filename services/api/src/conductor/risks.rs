@@ -20,6 +20,13 @@ pub(super) struct Risk {
     pub finish: Option<FinishSpread>,
 }
 
+impl Risk {
+    /// The risk of a job, which misses its deadline for certain if it lacks money.
+    pub fn given_money(self, lacks_money: bool) -> Self {
+        Self { probability: self.probability.map(|found| if lacks_money { 0.0 } else { found }), ..self }
+    }
+}
+
 /// The most scenarios that a plan of this size is worth.
 fn scenarios(plan: &planner::Plan) -> u32 {
     (MOST_DRAWS / plan.bookings.len().max(1)).clamp(50, SCENARIOS) as u32

@@ -89,9 +89,8 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
     let mut helped = 0;
     for ((job, mut said), budget_hold) in verdicts.into_iter().enumerate().zip(holds) {
         let asked = &farm.jobs[job];
-        let Risk { probability, finish } = risks[job];
         let lacks_money = lacks_money(asked, end(farm, &plan, job), budget_hold.as_ref());
-        let probability = probability.map(|found| if lacks_money { 0.0 } else { found });
+        let Risk { probability, finish } = risks[job].given_money(lacks_money);
         let promise = promise(farm, &plan, (&at_risk, budget_hold.as_ref()), probability, job);
         let waits = waits.get(&job).cloned();
         let outlook = JobOutlook { waits, promise, finish, probability, budget_hold, takes: None };

@@ -122,16 +122,15 @@ async fn tell_ends(
 }
 
 /// What an outlook says of a job's end.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Expected {
     finish: Option<FinishSpread>,
     takes: Option<i64>,
-    budget_hold: Option<BudgetHold>,
 }
 
 impl JobOutlook {
     pub(crate) fn expected(&self) -> Expected {
-        Expected { finish: self.finish, takes: self.takes, budget_hold: self.budget_hold.clone() }
+        Expected { finish: self.finish, takes: self.takes }
     }
 }
 
@@ -142,7 +141,7 @@ impl Expected {
             Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
             None => ends.eta(job),
         };
-        job.eta = match &self.budget_hold {
+        job.eta = match &job.budget_hold {
             Some(hold) => planned.and_then(|planned| hold.end(planned)),
             None => planned,
         };

@@ -22,9 +22,18 @@ impl Store {
     /// `frame_cpu` is the mean CPU time of its frames on a node of speed 1, in seconds.
     pub async fn expected_serial_time(&self, renderer: Option<&str>, frame_cpu: f64) -> Result<SerialTime> {
         let mut transaction = self.read().await?;
-        let past = of_others(&mut transaction, renderer.unwrap_or(OWN_RENDERER), None).await?;
-        Ok(SerialTime::learnt([NodeUse::default(); 2], &past, micros(frame_cpu)))
+        expected(&mut transaction, renderer, frame_cpu).await
     }
+}
+
+async fn expected(
+    connection: &mut SqliteConnection,
+    renderer: Option<&str>,
+    frame_cpu: f64,
+) -> Result<SerialTime> {
+    // The job itself has no finished frames yet.
+    let past = of_others(connection, renderer.unwrap_or(OWN_RENDERER), None).await?;
+    Ok(SerialTime::learnt([NodeUse::default(); 2], &past, (frame_cpu * 1e6) as i64))
 }
 
 /// Keeps for a job that is booked what plans use until its own frames teach better.
@@ -34,12 +43,8 @@ pub(crate) async fn expect(
     renderer: Option<&str>,
     frame_cpu: f64,
 ) -> Result<()> {
-    let past = of_others(write.connection().await?, renderer.unwrap_or(OWN_RENDERER), Some(job)).await?;
-    keep(write, job, SerialTime::learnt([NodeUse::default(); 2], &past, micros(frame_cpu))).await
-}
-
-fn micros(seconds: f64) -> i64 {
-    (seconds * 1e6) as i64
+    let serial = expected(write.connection().await?, renderer, frame_cpu).await?;
+    keep(write, job, serial).await
 }
 
 async fn keep(write: &mut Write, job: JobId, serial: SerialTime) -> Result<()> {
