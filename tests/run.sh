@@ -28,13 +28,15 @@ touch "$FORELIGHT_NOT_RUN"
 
 step() { printf '\n== %s (%d s)\n' "$1" "$SECONDS"; }
 
-# run_logged SCRIPT: runs a script of tests. Says when it begins, and prints its output and its times at the end.
+# run_logged SCRIPT: runs a script of tests. Says when it begins, and prints its output and its times at the end. In
+# CI, a script that hangs is ended, so that its output is seen.
 run_logged() {
-  local name status=0 start=$SECONDS log
+  local name status=0 start=$SECONDS log limit=()
+  [ -z "${CI:-}" ] || limit=(timeout --kill-after 10 2700)
   name=$(basename "$1" .sh) log=$work/$name.log
   printf '.. %s\n' "$name"
   TIMEFORMAT='%0U + %0S'
-  { time "$1" >"$log" 2>&1; } 2>"$log.cpu" || status=$?
+  { time "${limit[@]}" "$1" >"$log" 2>&1; } 2>"$log.cpu" || status=$?
   flock "$work" bash -c 'printf "\n-- %s (%d s, %s s of CPU time%s)\n" "$1" "$2" "$3" "$4"; cat "$5"' - "$name" \
     $((SECONDS - start)) "$(cat "$log.cpu")" "$([ $status = 0 ] || echo ', FAILED')" "$log"
   [ $status = 0 ] || mv "$log" "$work/$name.failed"
