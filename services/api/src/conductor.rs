@@ -27,6 +27,7 @@ pub(crate) mod job_profile;
 pub(crate) mod made_up;
 pub(crate) mod numbers;
 mod qualities;
+mod quantities;
 mod replan;
 mod risks;
 pub(crate) mod settle;

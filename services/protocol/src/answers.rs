@@ -141,6 +141,8 @@ pub enum WaitKind {
     Cheaper,
     /// The budget of its project holds it back.
     Budget,
+    /// Somebody paused it.
+    Paused,
     /// The disk with the farm's data is nearly full, so no tasks are handed out.
     Room,
 }
@@ -170,9 +172,20 @@ impl Waits {
         Self { kind: WaitKind::Budget, because, until: None, behind: Vec::new(), share: None }
     }
 
-    /// Whether the job waits for a budget. The wait then ends when somebody changes the budget.
-    pub fn is_for_money(&self) -> bool {
-        self.kind == WaitKind::Budget
+    /// Somebody paused the job, which waits until somebody resumes it.
+    pub fn for_resuming() -> Self {
+        let because = "waits because it is paused".to_owned();
+        Self { kind: WaitKind::Paused, because, until: None, behind: Vec::new(), share: None }
+    }
+
+    /// A job of this project whose tasks are not handed out waits to be resumed, or for the budget.
+    pub fn of_held(paused: bool, project: &str) -> Self {
+        if paused { Self::for_resuming() } else { Self::for_budget(project) }
+    }
+
+    /// Whether nothing of the job is begun until somebody changes its budget, or resumes it. It then has no end.
+    pub fn is_held(&self) -> bool {
+        matches!(self.kind, WaitKind::Budget | WaitKind::Paused)
     }
 }
 

@@ -152,6 +152,9 @@ pub struct DashboardJob {
     /// Whether it waits to be accepted once its quote is complete.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hold: bool,
+    /// Whether somebody paused it, so that nothing of it is begun.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub paused: bool,
     /// Number of frames.
     pub frames_total: u32,
     /// Number of finished frames.

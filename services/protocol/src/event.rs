@@ -128,6 +128,9 @@ pub struct JobTerms {
     /// Its budget. Absent if it has none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Money>,
+    /// Whether somebody paused it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub paused: bool,
 }
 
 /// What an event says of its job, so that who shows it need not ask. Absent fields stay as they were.
@@ -165,7 +168,8 @@ pub struct JobNews {
 impl JobNews {
     /// The terms of a job.
     pub fn of_terms(job: &Job) -> Self {
-        let terms = JobTerms { hold: job.hold, deadline: job.deadline, budget: job.budget };
+        let terms =
+            JobTerms { hold: job.hold, deadline: job.deadline, budget: job.budget, paused: job.paused };
         Self { terms: Some(terms), ..Self::default() }
     }
 }

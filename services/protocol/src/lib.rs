@@ -29,6 +29,7 @@ mod event;
 mod explanation;
 mod fixed_costs;
 mod forecast;
+mod frame;
 mod frames;
 mod hash;
 mod ids;
@@ -110,16 +111,16 @@ pub use forecast::{
     ForecastDoc, ForecastTotals, FrameForecast, NodeSeconds, Profiled, QuotedShot, RayQuantiles,
     SpentOnForecast, StorageForecast,
 };
+pub use frame::{
+    FrameArtifacts, FrameBooking, FrameFigure, FrameOutput, FramePage, FrameRow, FrameState, FramesRequest,
+};
 pub use frames::{FrameSet, MalformedFrames};
 pub use hash::{ArtifactHash, MalformedHash, SceneDigest};
 pub use ids::{
     BookingId, BundleId, DeliveryId, EventId, JobId, LeaseId, NodeId, PlanId, SessionId, TaskId, TokenId,
     WebhookId,
 };
-pub use job::{
-    AcceptRequest, Failing, FrameArtifacts, FrameBooking, FrameFigure, FrameOutput, FramePage, FrameRow,
-    FrameState, FramesRequest, Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within,
-};
+pub use job::{AcceptRequest, Failing, Job, JobChange, JobCheck, JobPage, JobRequest, Per, Within};
 pub use job_state::JobState;
 pub use lease::{
     CHECKPOINT_BYTES, ClaimRequest, FailureKind, FinishedPixels, Lease, LeaseOrder, ReleaseRequest,

@@ -1,8 +1,8 @@
 //! Budgets, the ledger that they are compared with, and forecasts of nights.
 //!
 //! Triggers write a ledger row for each lease (`migrations/0003_budgets.sql`), so payments are known however
-//! a lease ends. A budget that is used up holds its project's tasks back: they stay `ready`, and `held` keeps
-//! them from being handed out.
+//! a lease ends. A budget that is used up holds its project's tasks back, as a pause holds those of a job: they stay
+//! `ready`, and `held` keeps them from being handed out.
 //!
 //! An action stays in force until its period ends or the budget is set again. Otherwise, stopping the running
 //! tasks would release the money committed to them, and so start them again.
@@ -205,7 +205,7 @@ async fn enforce(write: &mut Write, now: Timestamp) -> Result<u32> {
     let kept = kept(write.connection().await?).await?;
     let in_force = policy::strongest(kept.into_iter().map(|kept| (kept.request.project, kept.action)));
     let held = sqlx::query_scalar!(
-        "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1"
+        "SELECT DISTINCT j.project FROM tasks t JOIN jobs j ON j.id = t.job_id WHERE t.held = 1 AND j.paused = 0"
     )
     .fetch_all(write.connection().await?)
     .await?;
@@ -247,11 +247,12 @@ async fn hold(write: &mut Write, project: &str) -> Result<()> {
     Ok(())
 }
 
-/// Lets a project's tasks be handed out again. Tasks that ended meanwhile are released too.
+/// Lets a project's tasks be handed out again, except those of paused jobs. Tasks that ended meanwhile are released
+/// too.
 async fn let_go(write: &mut Write, project: &str) -> Result<()> {
     run!(
         write,
-        "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ?)",
+        "UPDATE tasks SET held = 0 WHERE held = 1 AND job_id IN (SELECT id FROM jobs WHERE project = ? AND paused = 0)",
         project
     );
     replans::want(write, &format!("the budget of project {project} holds its tasks no more")).await?;

@@ -322,7 +322,9 @@ async fn this_task(
         r#"SELECT id, job_id, spec, limits, fence, not_before,
                   (SELECT j.state FROM jobs j WHERE j.id = tasks.job_id) AS "job_state!: Word<JobState>",
                   (SELECT j.work_by_class FROM jobs j WHERE j.id = tasks.job_id) AS "work_by_class?: Json<ByClass>",
-                  CASE WHEN state = 'ready' AND held THEN 'held back by a budget' ELSE state END AS "state!: String",
+                  CASE WHEN state <> 'ready' OR NOT held THEN state
+                  WHEN (SELECT j.paused FROM jobs j WHERE j.id = tasks.job_id) THEN 'held back: its job is paused'
+                  ELSE 'held back by a budget' END AS "state!: String",
                   again = 1 AND held = 0 AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = tasks.id
                   AND f.node_id = ?2 AND f.state IN ('active', 'failed')) AS "may_again!: bool",
                   kind = 'video' AND NOT EXISTS (SELECT 1 FROM nodes n, json_each(n.renderers) p

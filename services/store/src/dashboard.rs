@@ -214,6 +214,7 @@ async fn dashboard_jobs(
             project: job.project,
             state: job.state,
             hold: job.hold,
+            paused: job.paused,
             frames_total: job.frames_total,
             frames_done: job.frames_done,
             frames_cancelled: job.frames_cancelled,

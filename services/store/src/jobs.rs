@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use forelight_protocol::{
     BundleRef, BundleSource, CacheSharing, Confidence, Division, ErrorTarget, FrameSet, Job, JobId,
     JobSettings, JobState, JobVerdict, Ladders, Money, RenderedBy, RendererRequest, SceneSummary, TaskLimits,
-    VideoRequest, Within,
+    VideoRequest, WaitKind, Waits, Within,
 };
 use sqlx::SqliteConnection;
 
@@ -73,6 +73,7 @@ pub(crate) struct JobRow {
     pub serial_one_core: i64,
     pub serial_many_cores: i64,
     pub hold: bool,
+    pub paused: bool,
     pub terms: i64,
     pub terms_planned: i64,
     pub error: Option<String>,
@@ -95,7 +96,7 @@ macro_rules! job_rows {
                FROM tasks t LEFT JOIN results r ON r.task_id = t.id WHERE t.job_id = jobs.id AND t.kind = 'video') END
                AS "video_task?: crate::columns::Json<crate::videos::VideoTask>", within, error_target, limits,
                deadline_at, budget, confidence, priority, weight, forecast, plan_id, verdict, outlook, factor,
-               serial_one_core, serial_many_cores, hold, terms, terms_planned, error, created_at, finished_at FROM jobs "#
+               serial_one_core, serial_many_cores, hold, paused, terms, terms_planned, error, created_at, finished_at FROM jobs "#
                 + $rest
             $(, $value)*
         )
@@ -181,6 +182,7 @@ impl JobRow {
         let is_planned = !(state.is_booked() && self.has_new_terms());
         let video = self.job_video();
         let outlook = self.outlook.0;
+        let paused = self.paused && !state.is_final();
         Ok(Job {
             id: self.id.into(),
             name: self.name,
@@ -215,10 +217,12 @@ impl JobRow {
             progress: progress.fraction,
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
-            // A job with a running frame does not wait, whatever the plan says. Its budget may still hold it.
-            waits: outlook
-                .waits
-                .filter(|waits| (!progress.begun || waits.is_for_money()) && !state.is_final()),
+            // A job with a running frame does not wait, whatever the plan says. It may still be held.
+            waits: paused
+                .then(Waits::for_resuming)
+                .or(outlook.waits.filter(|waits| !progress.begun || waits.is_held()))
+                .filter(|waits| self.paused || waits.kind != WaitKind::Paused)
+                .filter(|_| !state.is_final()),
             promise: outlook.promise.filter(|_| is_planned),
             probability: outlook.probability.filter(|_| is_planned && !state.is_final()),
             budget_hold: outlook.budget_hold.filter(|_| !state.is_final()),
@@ -227,6 +231,7 @@ impl JobRow {
             spent: None,
             live: progress.live,
             hold: self.hold,
+            paused,
             error: self.error,
             failing: None,
             created_at: self.created_at.into(),

@@ -23,7 +23,7 @@
 //!   ([`Store::extend_leases_after_start`]).
 //! * *The job was cancelled while a worker renders it.* The lease is `revoked`: renewals answer with the
 //!   order to stop.
-//! * *A task kills every worker that touches it.* The tenth expiry fails the job.
+//! * *A task kills every worker that touches it.* Other nodes get it first, and the tenth loss fails the job.
 //! * *A worker renews its lease and does nothing.* The task is leased a second time, beside the first lease,
 //!   under a higher fencing token. The first result is committed, and the other lease is `revoked`. Both are
 //!   paid for. The database allows no third. See [`overdue`].
@@ -34,6 +34,7 @@
 pub(crate) mod checkpoints;
 pub(crate) mod failing;
 pub(crate) mod logs;
+pub(crate) mod losing;
 pub(crate) mod overdue;
 pub(crate) mod renewing;
 pub(crate) mod state;
@@ -227,6 +228,17 @@ pub(crate) fn end(write: &mut Write, row: &LeaseRow, state: &'static str, now: T
             lease
         );
     }
+}
+
+/// The leases that a node holds.
+pub(crate) async fn active_leases_of(write: &mut Write, node: NodeId) -> Result<Vec<LeaseId>> {
+    let held = sqlx::query_scalar!(
+        "SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id",
+        node.0
+    )
+    .fetch_all(write.connection().await?)
+    .await?;
+    Ok(held.into_iter().map(LeaseId::from).collect())
 }
 
 /// Takes back the tasks of these leases. They are ready again; the next renewal tells each worker to stop.

@@ -148,7 +148,7 @@ pub(crate) async fn gone(
 ) -> Result<Vec<NodeId>> {
     let rows = node_rows!(
         "WHERE (drain OR pause OR set_aside IS NOT NULL OR n.last_seen_at < ?) AND EXISTS (SELECT 1 \
-         FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' \
+         FROM tasks t INDEXED BY tasks_ready_booked WHERE t.state = 'ready' AND t.held = 0 \
          AND t.kind IN ('cache_fill', 'render_part', 'render') AND t.booked_node = n.id) ORDER BY n.id",
         now.plus_micros(-LOST).micros()
     )

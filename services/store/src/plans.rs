@@ -10,7 +10,7 @@ use std::collections::btree_map::{BTreeMap, Entry};
 
 use forelight_protocol::{
     BookingId, CacheMode, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState,
-    JobVerdict, NodeId, PlanId, PlanReason, Timestamp,
+    JobVerdict, NodeId, PlanId, PlanReason, Timestamp, Waits,
 };
 use forelight_quote::{JobForecast, QuoteBasis};
 
@@ -221,16 +221,19 @@ async fn keep(write: &mut Write, plan: &NewPlan, fresh: Option<JobId>, now: Time
             living::update(write, job_id, Occasion::Booked, now).await?;
         }
         let outlook = outlooks.get(&job_id);
-        let spread = outlook.and_then(|outlook| outlook.finish).zip(job.verdict.finish);
+        let waits = outlook
+            .and_then(|outlook| outlook.waits.clone())
+            .filter(|waits| job.begun.is_empty() || waits.is_held());
+        // What is held has no end, whatever is booked.
+        let eta = job.verdict.finish.filter(|_| !waits.as_ref().is_some_and(Waits::is_held));
+        let spread = outlook.and_then(|outlook| outlook.finish).zip(eta);
         let news = JobNews {
             verdict: Some(job.verdict.verdict),
-            eta: job.verdict.finish,
+            eta,
             finish: spread.map(|(spread, end)| spread.around(end, now)),
             booked_cost: job.verdict.cost,
             probability: outlook.and_then(|outlook| outlook.probability),
-            waits: outlook
-                .and_then(|outlook| outlook.waits.clone())
-                .filter(|waits| job.begun.is_empty() || waits.is_for_money()),
+            waits,
             ..JobNews::default()
         };
         let told = Event {

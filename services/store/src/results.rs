@@ -113,7 +113,7 @@ impl Store {
         if row.has_another {
             end_attempt_beside(&mut write, &row, now).await?;
         }
-        if row.failures > 0 {
+        if row.failures + row.expiries > 0 {
             hold_against_others(&mut write, &row, now).await?;
         }
         later!(

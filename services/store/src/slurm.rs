@@ -235,7 +235,7 @@ impl Store {
                 write,
                 "INSERT INTO slurm_elements (array_id, position, task_id, beside) \
                  SELECT ?1, ?2, t.id, t.state = 'leased' FROM tasks t \
-                 WHERE t.id = ?3 AND (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) \
+                 WHERE t.id = ?3 AND (t.state = 'ready' OR t.state = 'leased' AND t.again = 1) AND t.held = 0 \
                  AND NOT EXISTS (SELECT 1 FROM slurm_elements e \
                  WHERE e.task_id = ?3 AND e.outcome IS NULL AND e.beside >= (t.state = 'leased'))",
                 array,
@@ -299,7 +299,8 @@ impl Store {
             let array = row.id.0;
             let elements = sqlx::query!(
                 r#"SELECT e.position, e.task_id, e.outcome,
-                          iif(t.state = 'leased' AND t.again = 1 AND e.beside = 1, 'ready', t.state) AS "state!: String"
+                          CASE WHEN t.state = 'leased' AND t.again = 1 AND e.beside = 1 THEN 'ready'
+                               WHEN t.state = 'ready' AND t.held = 1 THEN 'held' ELSE t.state END AS "state!: String"
                    FROM slurm_elements e JOIN tasks t ON t.id = e.task_id WHERE e.array_id = ? ORDER BY e.position"#,
                 array
             )
@@ -338,7 +339,8 @@ impl Store {
         Ok(arrays)
     }
 
-    /// Records how an element ended. If its task is not over, that is an event, and the task waits again.
+    /// Records how an element ended. If its task is not over, that is an event, and the task waits again. A task that is
+    /// held lost nothing.
     pub async fn slurm_element_ended(
         &self,
         array: Uuid,
@@ -349,7 +351,8 @@ impl Store {
         let mut write = self.write().await?;
         let ended = run!(
             write,
-            "UPDATE slurm_elements SET outcome = ?, ended_at = ? WHERE array_id = ? AND position = ? \
+            "UPDATE slurm_elements SET outcome = ?, ended_at = ?, is_past = EXISTS (SELECT 1 FROM tasks t \
+             WHERE t.id = task_id AND t.state = 'ready' AND t.held = 1) WHERE array_id = ? AND position = ? \
              AND outcome IS NULL",
             outcome,
             now.micros(),
@@ -358,7 +361,7 @@ impl Store {
         );
         if ended == 1 {
             let row = sqlx::query!(
-                r#"SELECT t.id, t.job_id, t.kind, t.frame, a.slurm_id, t.state = 'ready' AND NOT EXISTS
+                r#"SELECT t.id, t.job_id, t.kind, t.frame, a.slurm_id, t.state = 'ready' AND t.held = 0 AND NOT EXISTS
                           (SELECT 1 FROM leases l WHERE l.task_id = t.id AND l.state = 'committed'
                            AND l.ended_at >= a.created_at) AS "is_lost!: bool" FROM slurm_elements e
                    JOIN tasks t ON t.id = e.task_id JOIN slurm_arrays a ON a.id = e.array_id

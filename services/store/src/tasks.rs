@@ -383,14 +383,14 @@ pub(crate) async fn forget_result(write: &mut Write, task: Id) -> Result<()> {
     Ok(())
 }
 
-/// Makes a task as if it had never been handed out, except for its fencing token. A budget in force holds it.
+/// Makes a task as if it had never been handed out, except for its fencing token.
 pub(crate) async fn begin_again(write: &mut Write, task: Id, state: &'static str) -> Result<()> {
     run!(
         write,
         "UPDATE tasks SET state = ?1, failures = 0, expiries = 0, progress = 0, error = NULL, not_before = 0, \
          node_id = NULL, started_at = NULL, finished_at = NULL, pixels_share = NULL, pixels_work = NULL, \
-         pixels_cpu = NULL, begun_anew = fence, held = EXISTS (SELECT 1 FROM budgets b JOIN jobs j ON j.project = b.project \
-         WHERE j.id = tasks.job_id AND b.action IN ('drain', 'stop')) WHERE id = ?2",
+         pixels_cpu = NULL, begun_anew = fence, held = EXISTS (SELECT 1 FROM held_jobs h WHERE h.job_id = tasks.job_id) \
+         WHERE id = ?2",
         state,
         task
     );

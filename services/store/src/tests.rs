@@ -104,6 +104,12 @@ impl Farm {
         fresh(self.store.register_node(&registration(name), None, at(0)).await.unwrap())
     }
 
+    /// The node after its worker was started again.
+    async fn new_worker(&self, name: &str, now: Timestamp) -> Node {
+        let started = NodeRegistration { worker: Some(uuid::Uuid::now_v7()), ..registration(name) };
+        fresh(self.store.register_node(&started, None, now).await.unwrap())
+    }
+
     async fn job(&self, frames: &str) -> Job {
         self.submit(request(frames)).await
     }

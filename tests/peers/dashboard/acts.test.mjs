@@ -233,6 +233,27 @@ test("what people do on a farm", { timeout: 480_000 }, async (t) => {
     assert.deepEqual([Date.parse(changed.deadline), changed.budget], [Date.parse(deadline), 3_000_000]);
   });
 
+  await step("pauses a job, and has it planned anew", async () => {
+    await press("Pause…");
+    await dialog.getByText("Its deadline is at risk until it is resumed").waitFor();
+    await inspect(page, "pause-question");
+    await press("Pause the job");
+    await gone();
+    const mark = page.locator(".job-top .mark", { hasText: "paused" });
+    await mark.waitFor();
+    await inspect(page, "job-paused");
+    assert.equal((await job(finer)).paused, true);
+    await until("it has no end", async () => (await job(finer)).eta == null);
+    await press("Resume…");
+    await press("Resume the job");
+    await gone();
+    await mark.waitFor({ state: "detached" });
+    await until("it is planned anew", async () => {
+      const { eta, paused, waits } = await job(finer);
+      return !paused && eta != null && waits?.kind !== "paused";
+    });
+  });
+
   await step("tells of an order that failed after its question was closed", async () => {
     const answers = [];
     await page.route("**/cancel", (route) => answers.push(() => route.abort()));

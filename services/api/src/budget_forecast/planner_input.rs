@@ -8,7 +8,7 @@ use forelight_protocol::{JobId, NodeId};
 use crate::conductor::farm::{Farm, Snapshot};
 use crate::conductor::numbers::number;
 
-/// The farm and the open bookings of jobs not held back. Nodes are numbered by their place in the snapshot,
+/// The farm and the open bookings of jobs that are not held. Nodes are numbered by their place in the snapshot,
 /// jobs in `jobs`.
 pub(super) fn planner_input(snapshot: &Snapshot, jobs: &[JobId]) -> (planner::Input, planner::Plan) {
     let farm = Farm::new(snapshot);

@@ -127,6 +127,8 @@ fn not_ready(basis: &Basis, open: &OpenJob, ends: &[i64], is_booked: bool) -> Op
     };
     let reason = if !known {
         "it is not forecast yet"
+    } else if job.paused {
+        "it is paused"
     } else if open.held {
         "its project's budget is used up"
     } else if deadline <= basis.now {

@@ -87,6 +87,7 @@ fn parts_of_a_shared_cache_cost_and_the_frames_come_after_them() {
         },
         done,
         holder: None,
+        held: false,
     };
     // Ten minutes at two thousandths per second; done before the evening.
     let early = forecast_of(nodes.clone(), &bookings, &[part(0, 0, 600, 0.0)]);
@@ -104,7 +105,7 @@ fn a_frame_that_another_node_has_costs_what_it_takes_there_even_while_that_one_s
     ];
     let attempt = TaskAttempt { since: at(-100), progress: 0.5, sign: at(0), p95: Some(2_000_000_000) };
     let holder = Holder { node_id: node_id(2), started: at(-100), attempt, slowness: 2.0 };
-    let half_done = OpenBooking { booking: booking(0, 1, 0, 1800), holder: Some(holder) };
+    let half_done = OpenBooking { booking: booking(0, 1, 0, 1800), holder: Some(holder), held: false };
     // Half an hour of work at two thousandths per second.
     let forecast = forecast_of(nodes, &[half_done], &[]);
     assert_eq!(costs(&forecast), [36 * UNIT / 10, 0]);

@@ -18,8 +18,9 @@ use forelight_protocol::{
 
 use super::AdvanceError;
 use super::effects::duration;
-use super::farm::{Farm, Snapshot, own_confidence};
+use super::farm::{Farm, Snapshot};
 use super::qualities::qualities;
+use super::quantities::own_confidence;
 use super::risks::risk;
 use super::settle::{NO_ROOM_FOR_CACHE, end, held_back};
 use super::what_if::take_away;
@@ -53,7 +54,7 @@ pub(crate) fn answers(
     let mut is_held = false;
     if let Some(asked) = snapshot.jobs.iter_mut().find(|asked| asked.job.id == job) {
         asked.job.deadline = question.deadline.or(asked.job.deadline);
-        // The answers are of the time when its budget lets it go on.
+        // The answers are of the time when it is let go.
         is_held = std::mem::take(&mut asked.held);
     }
     let farm = Farm::new(&snapshot);
@@ -61,7 +62,7 @@ pub(crate) fn answers(
     let asking = Asking::new((&snapshot, &farm), place, question.budget)?;
     let mut document = asking.about_its_plan()?;
     if is_held {
-        document.why_not.insert(0, held_back(&farm.jobs[place].job.project));
+        document.why_not.insert(0, held_back(&farm.jobs[place].job));
     }
     asking.about_changes(&mut document, question, &|| begun.elapsed() < question.patience)?;
     Ok(Some(document))

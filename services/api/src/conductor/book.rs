@@ -141,6 +141,7 @@ fn fresh(
     frames: &[FrameForecast],
     (spent, serial_time): (Money, SerialTime),
 ) -> FarmJob {
+    let held = job.paused;
     FarmJob {
         job,
         forecast: Some(kept.clone()),
@@ -159,7 +160,7 @@ fn fresh(
         spent,
         factor: 1.0,
         serial_time,
-        held: false,
+        held,
         terms,
         has_new_terms: false,
     }

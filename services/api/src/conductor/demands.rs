@@ -9,7 +9,7 @@ use forelight_quote::serial_time::SerialTime;
 use forelight_store::FarmJob;
 use indexmap::IndexSet;
 
-use super::farm::units;
+use super::quantities::units;
 
 /// The class of work that a planner's node does at its general speed.
 const GENERAL: u32 = 0;

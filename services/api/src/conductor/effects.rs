@@ -6,7 +6,8 @@ use forelight_protocol::words::counted;
 use forelight_protocol::{Money, MovedJob, PlanChange, PlanEffect, Timestamp};
 
 use super::AdvanceError;
-use super::farm::{Farm, confidence as planner_confidence, own_confidence};
+use super::farm::Farm;
+use super::quantities::{confidence as planner_confidence, own_confidence};
 
 /// Most waiting frames of a farm that is small enough to be planned whole for a question.
 const SMALL: usize = 600;

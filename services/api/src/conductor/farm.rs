@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner::{self as planner, FixedBooking, Interval};
 use forelight_protocol::{
-    Budget, CacheQuote, Confidence, Division, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles,
-    Timestamp,
+    Budget, CacheQuote, Division, FramePart, Job, JobId, Money, Node, NodeId, PlanId, Quantiles, Timestamp,
 };
 use forelight_quote::JobForecast;
 use forelight_quote::division::{Parts, most_in_passes, overhead_seconds, parts};
@@ -19,11 +18,9 @@ use forelight_store::{
 use super::bookable::bookable;
 use super::demands::{Demands, OfNodes};
 use super::numbers::number;
+use super::quantities::{confidence, speed, times, total, units};
 
 pub(super) const MOST_NODES: u32 = 10_000;
-
-/// The planner counts whole units of work: here nanoseconds of a core of speed 1.
-const PER_SECOND: f64 = 1e9;
 
 /// Calendars reach this far beyond the last deadline: eight weeks, in microseconds.
 const BEYOND: i64 = 56 * 86_400_000_000;
@@ -93,8 +90,8 @@ pub(crate) struct Asked {
     pub under_way_in_time: f64,
     /// Its cost so far, with the expected cost of running tasks, in micro-units; see [`FarmJob::spent`].
     pub spent: i64,
-    /// Whether a budget holds it back. Its tasks are not handed out, so it takes time from nobody:
-    /// plans take its bookings for free time, and it is planned behind all others.
+    /// Whether a budget holds it back, or it is paused. Its tasks are not handed out, so it takes time from
+    /// nobody: plans take its bookings for free time, and it is planned behind all others.
     pub held: bool,
     /// Version of its terms, see [`FarmJob::terms`].
     pub terms: i64,
@@ -118,7 +115,7 @@ impl Asked {
         planned.map(|planned| self.under_way.map_or(planned, |end| end.max(planned)))
     }
 
-    /// Whether the plan has to keep its deadline. That of a job that a budget holds waits for the budget.
+    /// Whether the plan has to keep its deadline. That of a job that is held waits.
     pub fn binds(&self) -> bool {
         self.is_promised() && !self.held
     }
@@ -377,7 +374,7 @@ fn under_way(
         .collect()
 }
 
-/// Expected bookings of waiting frames of jobs that no budget holds. Each starts no earlier than booked and
+/// Expected bookings of waiting frames of jobs that are not held. Each starts no earlier than booked and
 /// than the previous one's end, in the same order, and lasts as long as its node now needs.
 fn standing(
     input: &planner::Input,
@@ -430,35 +427,6 @@ fn booked(
         .collect()
 }
 
-pub(crate) fn confidence(confidence: Confidence) -> planner::Confidence {
-    match confidence {
-        Confidence::P50 => planner::Confidence::P50,
-        Confidence::P80 => planner::Confidence::P80,
-        Confidence::P95 => planner::Confidence::P95,
-    }
-}
-
-pub(crate) fn own_confidence(confidence: planner::Confidence) -> Confidence {
-    match confidence {
-        planner::Confidence::P50 => Confidence::P50,
-        planner::Confidence::P80 => Confidence::P80,
-        planner::Confidence::P95 => Confidence::P95,
-    }
-}
-
-pub(crate) fn times(quantiles: &Quantiles, factor: f64) -> Quantiles {
-    let Quantiles { mean, p50, p80, p95 } = *quantiles;
-    Quantiles { mean: mean * factor, p50: p50 * factor, p80: p80 * factor, p95: p95 * factor }
-}
-
-pub(crate) fn total(cpu_seconds: &Quantiles) -> planner::WorkTotal {
-    let Quantiles { p50, p80, p95, .. } = *cpu_seconds;
-    // At least one unit, so that no booking is empty.
-    let [p50, p80, p95] = [p50, p80, p95].map(|seconds| units(seconds).max(1));
-    // Rounding must not reverse quantiles.
-    planner::WorkTotal { p50, p80: p80.max(p50), p95: p95.max(p80).max(p50) }
-}
-
 /// A frame, or a part of one, as the planner knows it. A frame that no worker has had may still be divided, as
 /// its job asks for, into at most so many parts. `overhead` is what each part pays for itself, in CPU seconds.
 fn planner_frame(
@@ -489,15 +457,6 @@ pub(crate) fn frame(number: i64, p50: f64, p80: f64) -> planner::Frame {
         work_p80: units(p80).max(1),
         ..planner::Frame::default()
     }
-}
-
-pub(crate) fn speed(node: &Node) -> u64 {
-    units(node.speed * f64::from(node.cores)).max(1)
-}
-
-/// Seconds in the planner's unit of work, saturating.
-pub(super) fn units(seconds: f64) -> u64 {
-    (seconds * PER_SECOND).round() as u64
 }
 
 /// Micro-units, including what is already spent.

@@ -93,7 +93,7 @@ pub(crate) fn booking(job_id: JobId, frame: u32, node: u128, (start, end): (i64,
 }
 
 pub(crate) fn waiting(booking: Booking) -> OpenBooking {
-    OpenBooking { booking, holder: None }
+    OpenBooking { booking, holder: None, held: false }
 }
 
 /// The job whose open bookings are these, of the frames from 0 on.

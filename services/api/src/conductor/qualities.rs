@@ -9,7 +9,8 @@ use forelight_protocol::{
 
 use super::AdvanceError;
 use super::effects::priced;
-use super::farm::{Farm, times, total};
+use super::farm::Farm;
+use super::quantities::{times, total};
 use super::risks::{Risk, risk};
 use super::settle::end;
 

@@ -67,7 +67,7 @@ fn of_job(farm: &Farm, plan: &planner::Plan, simulation: &planner::Simulation, j
     let planned = plan.job(job as u64).and_then(|entry| entry.verdict.finish());
     Risk {
         probability: asked.job.deadline.map(|_| match end(farm, plan, job) {
-            // A job held back by a budget has no end until the budget changes.
+            // A job that is held has no end until it is let go.
             None => 0.0,
             Some(_) if asked.held => 0.0,
             // Scenarios vary frames that wait. Those under way have a course of their own.

@@ -11,7 +11,9 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_planner as planner;
 use forelight_planner::{AtRisk, Booking, Rescue};
-use forelight_protocol::{BudgetHold, JobId, JobVerdict, Money, Needs, NodeId, Promise, Timestamp, Verdict};
+use forelight_protocol::{
+    BudgetHold, Job, JobId, JobVerdict, Money, Needs, NodeId, Promise, Timestamp, Verdict,
+};
 use forelight_store::{FinishSpread, JobOutlook, NewBooking, NewJobPlan};
 
 use super::AdvanceError;
@@ -72,7 +74,7 @@ pub(crate) fn settle(farm: &Farm, fresh: Option<usize>) -> Result<Settled, Unset
         let says_new = asked.job.verdict.as_ref().is_none_or(|before| before.verdict != said.verdict);
         let is_asked = fresh == Some(job) || asked.has_new_terms;
         if asked.held {
-            // Its bookings stay until another job needs the time. It goes on there when the budget lets it.
+            // Its bookings stay until another job needs the time. It goes on there when it is let go.
             return is_asked;
         }
         let is_resized = is_resized(&booked[job], &after[job]);
@@ -295,7 +297,7 @@ fn verdict(farm: &Farm, plan: &planner::Plan, job: usize, hold: Option<&BudgetHo
                     all_nodes(farm.nodes.len()),
                     Timestamp::from_micros(bound)
                 ),
-                None if asked.held => held_back(&asked.job.project),
+                None if asked.held => held_back(&asked.job),
                 None => in_the_way(farm, plan, asked, finish),
             });
             Verdict::Late
@@ -352,10 +354,14 @@ fn unplaced(farm: &Farm, needs: Option<&Needs>, entry: Option<&planner::JobPlan>
     }
 }
 
-/// Reason why a job is late that waits for its project's budget.
-pub(crate) fn held_back(project: &str) -> String {
+/// Reason why a job is late that is held.
+pub(crate) fn held_back(job: &Job) -> String {
+    if job.paused {
+        return "the job is paused: work continues when it is resumed".to_owned();
+    }
     format!(
-        "the budget of project {project} is used up: work continues when it is raised or its next period begins"
+        "the budget of project {} is used up: work continues when it is raised or its next period begins",
+        job.project
     )
 }
 
@@ -401,7 +407,7 @@ fn promise(
 ) -> Option<Promise> {
     let asked = &farm.jobs[job];
     let (deadline, probability) = asked.job.deadline.zip(probability)?;
-    // A job held back by a budget has no end until the budget changes.
+    // A job that is held has no end until it is let go.
     let planned = end(farm, plan, job);
     let finish = end_with(hold, planned).filter(|_| !asked.held);
     let kept = asked.is_kept(finish);

@@ -33,7 +33,10 @@ pub(super) fn waits(
         let waits =
             |kind, because: String, behind| Waits { kind, because, until, behind, share: share.clone() };
         if asked.held {
-            found.insert(job, Waits { share: share.clone(), ..Waits::for_budget(&asked.job.project) });
+            found.insert(
+                job,
+                Waits { share: share.clone(), ..Waits::of_held(asked.job.paused, &asked.job.project) },
+            );
         } else if let Some(reason) = explained.get(&(job as u64)) {
             let (kind, behind) = match reason {
                 Reason::NoNode => (WaitKind::Node, Vec::new()),
@@ -60,6 +63,7 @@ fn behind_in_words(farm: &Farm, waiting: usize, jobs: &[(u64, Precedence)]) -> S
     let one = |(job, why): &(u64, Precedence)| -> Option<String> {
         let other = farm.jobs.get(*job as usize)?;
         let why = match why {
+            _ if other.held && other.job.paused => "is booked there, although it is paused".to_owned(),
             _ if other.held => {
                 format!("is booked there, although the budget of {} holds it", other.job.project)
             }

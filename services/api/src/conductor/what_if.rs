@@ -11,8 +11,9 @@ use forelight_protocol::{
 use forelight_store::FarmJob;
 
 use super::AdvanceError;
-use super::farm::{Farm, Snapshot, confidence};
+use super::farm::{Farm, Snapshot};
 use super::qualities::qualities;
+use super::quantities::confidence;
 use super::settle::{STILL, Settled, Unsettled, end, settle};
 use crate::plan_difference::of_job;
 

@@ -77,7 +77,7 @@ async fn soon_in_force(farm: &Farm, action: Option<BudgetAction>) -> Budget {
 
 /// The job, once it waits for money. Until the plan is made anew, it states the reason of the plan before.
 async fn soon_waits_for_money(farm: &Farm, job: &Job) -> Job {
-    let waits_for_money = |job: &Job| job.waits.as_ref().is_some_and(Waits::is_for_money);
+    let waits_for_money = |job: &Job| job.waits.as_ref().is_some_and(Waits::is_held);
     farm.until(job, "it waits for money", waits_for_money).await
 }
 

@@ -19,6 +19,7 @@ mod living_estimate;
 mod nodes;
 mod outputs;
 mod page;
+mod pauses;
 mod plans;
 mod quotas;
 mod reach;

@@ -128,6 +128,23 @@ async fn cancelled_frames_are_left_out_and_frames_that_are_rendered_again_take_t
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_job_that_ends_while_it_is_paused_gets_its_video_and_is_paused_no_more() {
+    let farm = Farm::new().await;
+    let node = with_ffmpeg(&farm, "a").await;
+    let job = submit(&farm, "0", json!({})).await;
+    farm.until_booked(&node, &job).await;
+    let frame = farm.next_task(&node).await;
+    let pause = farm.submitter.request(Method::PATCH, &format!("/v1/jobs/{}", job.id));
+    let pause = pause.json(&json!({"paused": true})).send().await.unwrap();
+    assert!(pause.parsed::<Job>(StatusCode::OK).await.paused);
+    assert_eq!(farm.finish(&frame).await.job_state, JobState::Done);
+    assert!(!farm.job(&job).await.paused);
+    let lease = video_task(&farm, &node).await;
+    farm.finish(&lease).await;
+    assert_eq!(file(&farm, &job).await.status(), StatusCode::OK);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_video_that_fails_leaves_the_job_done_and_can_be_asked_for_again() {
     let (farm, clock) = Farm::with_clock().await;
     let node = with_ffmpeg(&farm, "a").await;

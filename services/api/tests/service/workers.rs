@@ -5,8 +5,8 @@ use std::time::Duration;
 use crate::support::{Answer, Farm, Http, LEASE, address, until};
 use forelight_api::Clock as _;
 use forelight_protocol::{
-    Dashboard, Job, JobPage, JoinToken, Lease, LeaseOrder, Node, NodeState, ProblemKind, Renewal, TaskLog,
-    Timestamp, WaitKind,
+    Dashboard, Job, JobPage, JoinToken, Lease, Node, NodeState, ProblemKind, Renewal, TaskLog, Timestamp,
+    WaitKind,
 };
 use forelight_store::{token_hash, tokens};
 use reqwest::{Method, Response, StatusCode};
@@ -51,8 +51,7 @@ async fn of_two_workers_of_one_name_the_later_has_the_node_and_the_earlier_is_to
     assert_eq!((again.task_id, again.fence), (lease.task_id, lease.fence + 1));
     let told = claim(Some(first)).await.problem(ProblemKind::Conflict).await;
     assert!(told.detail.contains("another worker has registered as \"rack-7\""), "{told:?}");
-    let renewal: Renewal = farm.renew(&lease, json!({})).await.parsed(StatusCode::OK).await;
-    assert_eq!(renewal.order, LeaseOrder::Stop);
+    farm.renew(&lease, json!({})).await.problem(ProblemKind::LeaseLost).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -92,7 +92,7 @@ impl Bare {
         let expired: Option<Vec<u8>> =
             write.0.prepare_cached(expired)?.query_row([now], |row| row.get(0)).optional()?;
         anyhow::ensure!(expired.is_none(), "a lease expired: lower --seconds");
-        let next = "SELECT id, job_id, frame, spec FROM tasks INDEXED BY tasks_ready_any WHERE state = 'ready' AND kind IN ('cache_fill', 'render_part', 'render') \
+        let next = "SELECT id, job_id, frame, spec FROM tasks INDEXED BY tasks_ready_any WHERE state = 'ready' AND held = 0 AND kind IN ('cache_fill', 'render_part', 'render') \
                     AND held = 0 AND not_before <= ? ORDER BY due_at, priority DESC, job_id, frame, part LIMIT 1";
         let found = write.0.prepare_cached(next)?.query_row([now], |row| {
             Ok((

@@ -9,7 +9,7 @@ use forelight_client::Client;
 use forelight_protocol::words::counted;
 use forelight_protocol::{
     AnswersDoc, CacheMode, Integrator, Job, Money, MovedJob, OutlookLine, PlanEffect, PriceOffer,
-    RenderSettings, Timestamp, Waits,
+    RenderSettings, Timestamp, WaitKind,
 };
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::output;
@@ -126,9 +126,10 @@ fn heading(job: &Job, found: &AnswersDoc, (now, at): (Timestamp, &dyn Fn(Timesta
     if let Some(hold) = &job.budget_hold {
         text += &format!("{}\n\nIf the budget held nothing:\n", hold.because);
     }
-    let is_held = job.waits.as_ref().is_some_and(Waits::is_for_money);
-    if is_held {
-        text += "\nIf the budget held it no longer:\n";
+    match job.waits.as_ref().map(|waits| waits.kind) {
+        Some(WaitKind::Budget) => text += "\nIf the budget held it no longer:\n",
+        Some(WaitKind::Paused) => text += "\nIf it were resumed now:\n",
+        _ => {}
     }
     if let Some(probability) = found.probability {
         text += &format!("in time with a probability of {}\n", probability_in_words(probability));

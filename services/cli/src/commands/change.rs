@@ -72,6 +72,7 @@ fn change(terms: &Terms, now: jiff::Timestamp) -> Result<JobChange, BadInput> {
         budget: if terms.no_budget { Some(None) } else { terms.budget.map(|budget| Some(Money(budget))) },
         confidence: terms.confidence,
         priority: terms.priority,
+        paused: None,
     })
 }
 
@@ -94,8 +95,8 @@ mod tests {
         let expected = JobChange {
             deadline: Some(None),
             budget: Some(Some(Money(5))),
-            confidence: None,
             priority: Some(-3),
+            ..JobChange::default()
         };
         assert_eq!(changed, expected);
         let terms = Terms {

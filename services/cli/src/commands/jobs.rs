@@ -84,7 +84,7 @@ fn report(jobs: &[Job], now: Timestamp) -> String {
         table.row([
             job.name.clone(),
             job.project.clone(),
-            job.state.to_string(),
+            if job.paused { format!("{}, paused", job.state) } else { job.state.to_string() },
             bar(job.progress, 12),
             format!("{}/{}", job.frames_done, job.frames_total),
             time(ready),

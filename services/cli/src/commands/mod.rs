@@ -24,6 +24,7 @@ mod leave_out;
 mod log;
 mod node;
 mod numbered;
+mod pause;
 mod plan;
 mod plans;
 mod preview;
@@ -84,6 +85,8 @@ enum Command {
     Change(change::Args),
     Status(status::Args),
     Jobs(jobs::Args),
+    Pause(pause::Args),
+    Resume(pause::ResumeArgs),
     Cancel(cancel::Args),
     Retry(retry::Args),
     Video(video::Args),
@@ -139,6 +142,8 @@ impl Cli {
             Command::Jobs(args) => jobs::run(args).await,
             Command::Accept(args) => accept::run(args).await,
             Command::Change(args) => change::run(args).await,
+            Command::Pause(args) => pause::pause(args).await,
+            Command::Resume(args) => pause::resume(args).await,
             Command::Cancel(args) => cancel::run(args).await,
             Command::Retry(args) => retry::run(args).await,
             Command::Video(args) => video::run(args, interrupt).await,

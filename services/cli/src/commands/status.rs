@@ -168,7 +168,10 @@ fn report(job: &Job, beside: &Beside, now: Timestamp) -> String {
         let filled = format!("{} of {} parts filled", cache.parts_done, cache.parts);
         line("cache", format!("{}  {filled}; the frames wait for the cache", bar(cache.progress, CELLS / 2)));
     }
-    if let Some(waits) = &job.waits {
+    if job.paused {
+        let id = job.id;
+        line("waits", format!("for `forelight resume {id}`: it is paused, and what is under way goes on"));
+    } else if let Some(waits) = &job.waits {
         let what = if job.plan_id.is_some() { "the job begins" } else { "the first node wakes" };
         let until = waits.until.map_or(String::new(), |at| format!("; {what} at {}", clock(at, now)));
         line("waits", format!("{}{until}", waits.because.trim_start_matches("waits ")));
@@ -234,7 +237,9 @@ fn booked(job: &Job, live: &LiveForecast, now: Timestamp) -> String {
     if live.cost_is_off && excess > 0.0 {
         text += &format!(": exceeded by {}", seconds(excess));
     }
-    let Some(finish) = booked.finish else { return text };
+    // What is held has no end, whatever is booked.
+    let is_held = job.waits.as_ref().is_some_and(Waits::is_held);
+    let Some(finish) = booked.finish.filter(|_| !is_held) else { return text };
     text += &format!(", ready by {}", clock(finish, now));
     let expected = job.finished_at.or(live.finish).filter(|_| live.finish_is_off);
     let late = expected.map_or(0.0, |at| at.micros_since(finish) as f64 * 1e-6);
@@ -258,7 +263,8 @@ fn ready(job: &Job, now: Timestamp) -> String {
             let deadline = job.deadline.map_or(String::new(), |at| format!("; wanted by {}", clock(at, now)));
             return format!("not known before the job is booked{deadline}");
         }
-        (_, _, None) if job.waits.as_ref().is_some_and(Waits::is_for_money) => {
+        (_, _, None) if job.paused => return "not known while it is paused".to_owned(),
+        (_, _, None) if job.waits.as_ref().is_some_and(Waits::is_held) => {
             return "not known while a budget holds it".to_owned();
         }
         (_, _, None) => return "unknown: the current plan books nothing of the job".to_owned(),

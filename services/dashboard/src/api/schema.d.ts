@@ -365,7 +365,11 @@ export interface paths {
         delete: operations["job_delete"];
         options?: never;
         head?: never;
-        /** Changes deadline, budget, confidence or priority of a job. The farm is then planned again. */
+        /**
+         * Changes deadline, budget, confidence or priority of a job, or pauses or resumes it. The farm is then planned again.
+         * @description Of a paused job nothing is begun: no preview, profile or frame. What is under way goes on; `frames/retry` takes it
+         *     back, to be rendered from the start later.
+         */
         patch: operations["job_change"];
         trace?: never;
     };
@@ -2459,6 +2463,8 @@ export interface components {
             id: components["schemas"]["JobId"];
             /** @description Its name. */
             name: string;
+            /** @description Whether somebody paused it, so that nothing of it is begun. */
+            paused?: boolean;
             /**
              * Format: double
              * @description Probability that it meets its deadline, 0 to 1, in the scenarios of the newest plan. Of a quote on hold:
@@ -3306,6 +3312,8 @@ export interface components {
             /** @description Name of the job. */
             name: string;
             output?: components["schemas"]["OutputPattern"] | null;
+            /** @description Whether somebody paused the job, so that nothing of it is begun. */
+            paused?: boolean;
             plan_id?: components["schemas"]["PlanId"] | null;
             /**
              * Format: int32
@@ -3357,11 +3365,14 @@ export interface components {
             weight?: number;
             within?: components["schemas"]["Within"] | null;
         };
-        /** @description A change to the terms of a job. Absent fields stay; `null` removes a deadline or a budget. */
+        /** @description A change to a job. Absent fields stay; `null` removes a deadline or a budget. */
         JobChange: {
             budget?: components["schemas"]["Money"] | null;
             confidence?: components["schemas"]["Confidence"] | null;
             deadline?: components["schemas"]["Timestamp"] | null;
+            /** @description Whether to pause the job: its work under way goes on, and nothing of it is begun. Plans give its nodes to
+             *     others. `false`: it goes on. */
+            paused?: boolean | null;
             /**
              * Format: int32
              * @description Priority, -1000 to 1000. Of jobs with the same deadline, and of those without one, the greatest goes first. A job of
@@ -3541,6 +3552,8 @@ export interface components {
             deadline?: components["schemas"]["Timestamp"] | null;
             /** @description Whether its quote waits to be accepted. */
             hold: boolean;
+            /** @description Whether somebody paused it. */
+            paused?: boolean;
         };
         /** @description What a plan says about one job. */
         JobVerdict: {
@@ -6379,7 +6392,7 @@ export interface components {
          * @description Kind of reason why a job waits.
          * @enum {string}
          */
-        WaitKind: "node" | "calendar" | "limit" | "others" | "cheaper" | "budget" | "room";
+        WaitKind: "node" | "calendar" | "limit" | "others" | "cheaper" | "budget" | "paused" | "room";
         /** @description Why a job waits: its frames, its quote or the whole farm cannot go on. */
         Waits: {
             /** @description The reason, as one line of text that begins with "waits because". */

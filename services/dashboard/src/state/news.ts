@@ -7,6 +7,7 @@ interface Known {
   state: JobState;
   frames_done: number;
   hold?: boolean | undefined;
+  paused?: boolean | undefined;
   deadline?: string | null | undefined;
   budget?: number | null | undefined;
   eta?: string | null | undefined;
@@ -38,14 +39,22 @@ export function jobAfter<J extends Known>(job: J, event: Event): J {
       hold: terms.hold,
       deadline: terms.deadline ?? null,
       budget: terms.budget ?? null,
+      paused: terms.paused ?? false,
     });
+    if (job.paused && !after.paused) after.waits = null;
+    if (after.paused) Object.assign(after, { eta: null, finish: null });
     // What was likely of another deadline says nothing of this one.
     if (after.deadline !== (job.deadline ?? null)) Object.assign(after, { promise: null, probability: null });
   }
   if (eta != null) after.eta = eta;
   if (finish) after.finish = finish;
   if (probability != null) after.probability = probability;
-  if (event.kind === "plan_stored") after.waits = event.job?.waits ?? null;
+  if (event.kind === "plan_stored") {
+    after.waits = event.job?.waits ?? null;
+    // What is held has no end.
+    if (after.waits?.kind === "budget" || after.waits?.kind === "paused")
+      Object.assign(after, { eta: null, finish: null });
+  }
   return Object.keys(after).length === 0 ? job : { ...job, ...after };
 }
 

@@ -101,8 +101,8 @@ macro_rules! next_task {
             " WHERE state = 'ready' AND ",
             $which,
             " AND held = 0 AND not_before <= ?2 AND (renderer IS NULL OR renderer IN (SELECT value FROM \
-             json_each((SELECT renderers FROM nodes WHERE id = ?1)))) AND (failures = 0 OR not_before <= ?3 OR NOT EXISTS \
-             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state = 'failed' AND f.node_id = ?1 \
+             json_each((SELECT renderers FROM nodes WHERE id = ?1)))) AND (failures + expiries = 0 OR not_before <= ?3 OR NOT EXISTS \
+             (SELECT 1 FROM leases f WHERE f.task_id = tasks.id AND f.state IN ('failed', 'expired') AND f.node_id = ?1 \
              AND NOT f.alone)) AND ",
             $crate::claims::asking::ends_in_time!(),
             " ORDER BY ",

@@ -114,7 +114,7 @@ pub(crate) const NEXT_OF_JOB: &str = next_task!(
 );
 
 /// A task of the job `?5`. The first that exists of: the one that is booked at the highest rate, if that is
-/// at least `?6`; one that should have begun by `?7`; one without a booking; one that failed.
+/// at least `?6`; one that should have begun by `?7`; one without a booking; one that failed or lost its worker.
 pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "SELECT ",
     task_columns!(),
@@ -139,7 +139,7 @@ pub(crate) const NEXT_NO_DEARER: &str = concat!(
     "), (",
     next_task!(
         "tasks_backing_off",
-        "not_before > 0 AND kind IN ('cache_fill', 'render_part', 'render') AND failures > 0 AND job_id = ?5",
+        "not_before > 0 AND kind IN ('cache_fill', 'render_part', 'render') AND failures + expiries > 0 AND job_id = ?5",
         "not_before"
     ),
     "))"

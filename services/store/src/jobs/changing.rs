@@ -1,4 +1,4 @@
-//! Accepting quotes, and changing the terms of jobs: deadline, budget, confidence and priority.
+//! Accepting quotes, and changing jobs: deadline, budget, confidence, priority, and whether they are paused.
 
 use forelight_protocol::{
     AuditAction, Event, EventKind, FramePart, Job, JobChange, JobId, JobNews, JobState, Money, Timestamp,
@@ -49,7 +49,7 @@ impl Store {
         Ok(accepted)
     }
 
-    /// Changes the terms of a job, and calls for a new plan. A [`StoreError::Conflict`] if the job is over.
+    /// Changes a job, and calls for a new plan. A [`StoreError::Conflict`] if the job is over.
     pub async fn change_job(&self, job: JobId, change: &JobChange, now: Timestamp) -> Result<Job> {
         let mut write = self.write().await?;
         let current = read(write.connection().await?, job).await?;
@@ -62,6 +62,7 @@ impl Store {
             budget: change.budget.filter(|it| *it != current.budget),
             confidence: change.confidence.filter(|it| *it != current.confidence),
             priority: change.priority.filter(|it| *it != current.priority),
+            paused: change.paused.filter(|it| *it != current.paused),
         };
         if changed == JobChange::default() {
             return Ok(current);
@@ -72,7 +73,7 @@ impl Store {
         }
         rebook_rates(&mut write, job).await?;
         let what = in_words(&changed);
-        replans::want(&mut write, &format!("job {} has {what}", current.name)).await?;
+        replans::want(&mut write, &format!("job {}: {what}", current.name)).await?;
         tell_terms(&mut write, job, &what, now).await?;
         let deed = Deed::new(AuditAction::JobChanged, job).of_project(&current.project);
         note(&mut write, deed, Some(change), now);
@@ -94,15 +95,25 @@ async fn set_terms(write: &mut Write, job: JobId, change: &JobChange) -> Result<
         write,
         "UPDATE jobs SET deadline_at = CASE WHEN ?1 THEN ?2 ELSE deadline_at END, \
          budget = CASE WHEN ?3 THEN ?4 ELSE budget END, confidence = coalesce(?5, confidence), \
-         priority = coalesce(?6, priority), terms = terms + 1 WHERE id = ?7",
+         priority = coalesce(?6, priority), paused = coalesce(?7, paused), terms = terms + 1 WHERE id = ?8",
         change.deadline.is_some(),
         change.deadline.flatten().map(Timestamp::micros),
         change.budget.is_some(),
         change.budget.flatten().map(Money::micro_units),
         change.confidence.map(|confidence| confidence.name()),
         change.priority,
+        change.paused,
         job.0
     );
+    if change.paused.is_some() {
+        run!(
+            write,
+            "UPDATE tasks SET held = EXISTS (SELECT 1 FROM held_jobs h WHERE h.job_id = tasks.job_id) WHERE job_id = ? \
+             AND (held = 1 OR state IN ('waiting', 'ready', 'leased'))",
+            job.0
+        );
+        write.made_work = true;
+    }
     // Claims look for tasks by deadline and priority of their jobs.
     run!(
         write,
@@ -176,6 +187,9 @@ fn in_words(change: &JobChange) -> String {
     }
     if let Some(priority) = change.priority {
         words.push(format!("a new priority, {priority}"));
+    }
+    if let Some(paused) = change.paused {
+        words.push(if paused { "paused" } else { "resumed" }.to_owned());
     }
     words.join(" and ")
 }

@@ -17,7 +17,7 @@ pub struct OpenJob {
     pub forecast: Option<JobForecast>,
     /// Forecast CPU seconds of its unfinished frames: number, P50 and P80.
     pub frames: Vec<(u32, f64, f64)>,
-    /// Its project's budget holds it back.
+    /// Its project's budget holds it back, or it is paused.
     pub held: bool,
 }
 

@@ -138,6 +138,7 @@ impl Expected {
     /// Fills in when a job that is not over is expected to end, and how that varies.
     pub fn tell(self, job: &mut Job, ends: &JobEnds, now: Timestamp) {
         let planned = match self.takes.filter(|_| job.state == JobState::Quoted) {
+            Some(_) if job.paused => None,
             Some(takes) => Some(rounded_up(now.plus_micros(takes), now)),
             None => ends.eta(job),
         };

@@ -130,7 +130,7 @@ pub(crate) async fn fail(
 ) -> Result<()> {
     let error = report.error;
     end(write, row, "failed", now);
-    let others = others(write, row, now).await?;
+    let others = others(write, row, TriedOn::Failed, now).await?;
     run!(
         write,
         "UPDATE leases SET failure = ?, permanent = ?, fault = ?, alone = ? WHERE id = ?",
@@ -169,12 +169,12 @@ pub(crate) async fn fail(
     Ok(())
 }
 
-/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere against their nodes,
-/// and all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input
+/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere, or whose worker crashed, against
+/// their nodes, and all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input
 /// that was gone.
 pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
     let nodes = sqlx::query_scalar!(
-        "UPDATE leases SET fault = ? WHERE task_id = ? AND state = 'failed' AND fault IS NULL \
+        "UPDATE leases SET fault = ? WHERE task_id = ? AND state IN ('failed', 'expired') AND fault IS NULL \
          AND node_id <> ? AND (failure IN ('unknown', 'node') OR permanent) RETURNING node_id",
         Fault::Unshared.name(),
         row.task_id.0,
@@ -226,18 +226,27 @@ async fn witnesses(write: &mut Write, task: TaskId, now: Timestamp) -> Result<Ve
     .await?)
 }
 
-/// How many other nodes could do a task: they take tasks, were heard of lately, have its renderer, and it has
-/// not failed on them.
-async fn others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<u32> {
+/// Which nodes have tried a task in vain.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TriedOn {
+    Failed,
+    FailedOrLost,
+}
+
+/// How many other nodes could do a task: they take tasks, were heard of lately, have its renderer, and have not
+/// tried it in vain.
+pub(crate) async fn others(write: &mut Write, row: &LeaseRow, tried: TriedOn, now: Timestamp) -> Result<u32> {
     Ok(sqlx::query_scalar!(
         "SELECT count(*) AS \"others!: u32\" FROM nodes n WHERE n.id <> ?1 AND n.set_aside IS NULL AND NOT n.drain \
          AND NOT n.pause AND n.last_seen_at >= ?2 \
          AND (?3 IS NULL OR ?3 IN (SELECT value FROM json_each(n.renderers))) \
-         AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = ?4 AND f.state = 'failed' AND f.node_id = n.id)",
+         AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = ?4 AND f.node_id = n.id \
+                         AND (f.state = 'failed' OR ?5 AND f.state = 'expired'))",
         row.node_id.0,
         now.plus_micros(-LOST).micros(),
         row.renderer,
-        row.task_id.0
+        row.task_id.0,
+        tried == TriedOn::FailedOrLost
     )
     .fetch_one(write.connection().await?)
     .await?)

@@ -2,19 +2,19 @@
 
 use std::time::Duration;
 
-use forelight_protocol::{EventKind, Timestamp};
+use forelight_protocol::Timestamp;
 
 use crate::database::{Store, Write};
 use crate::error::Result;
-use crate::events::{append, forget_old_progress};
+use crate::events::forget_old_progress;
 use crate::idempotency::forget_old;
-use crate::jobs::ending::fail_task_and_job;
 use crate::jobs::versions::replace_lost;
+use crate::leases::losing::lose;
 use crate::leases::state::LeaseState;
-use crate::leases::{back_to_ready, end, ran_out, read_in};
+use crate::leases::{ran_out, read_in};
 use crate::living;
 use crate::nodes::changing::stop_after_windows;
-use crate::policy::retries::{LONGEST_WAIT, job_error_of_lost_workers};
+use crate::policy::retries::LONGEST_WAIT;
 use crate::rights::forget_ended_rights;
 use crate::sessions::forget_ended_sessions;
 use crate::tokens::forget_expired_tokens;
@@ -114,18 +114,8 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept> {
         if read_in(write, row.id).await?.state != LeaseState::Active {
             continue;
         }
-        end(write, &row, "expired", now);
-        append(write, row.event(EventKind::LeaseExpired, now));
         swept.expired += 1;
-        let expiries = row.expiries + 1;
-        run!(write, "UPDATE tasks SET expiries = ? WHERE id = ?", expiries, row.task_id.0);
-        match job_error_of_lost_workers(expiries) {
-            Some(error) => {
-                fail_task_and_job(write, &row, &error, now).await?;
-                swept.jobs_failed += 1;
-            }
-            None => back_to_ready(write, &row, None),
-        }
+        swept.jobs_failed += u32::from(lose(write, &row, false, now).await?);
     }
     Ok(swept)
 }

@@ -1,7 +1,7 @@
 //! Registering nodes and changing them.
 
 use forelight_protocol::{
-    AuditAction, EventKind, LeaseId, Money, Node, NodeChange, NodeId, NodeRegistration, Role, Timestamp,
+    AuditAction, EventKind, Money, Node, NodeChange, NodeId, NodeRegistration, Role, Timestamp,
 };
 
 use crate::audit::{Deed, note};
@@ -11,6 +11,7 @@ use crate::error::Result;
 use crate::events::node_event;
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
 use crate::leases;
+use crate::leases::losing::lose_tasks_of;
 use crate::nodes::{LOST, by_name, has_another_worker, node_rows, read};
 use crate::plans::replans;
 use crate::policy::availability::{Opening, opening, silence, with_power};
@@ -121,7 +122,7 @@ pub(crate) async fn upsert(
     .into();
     if is_replaced {
         // The previous worker is dead, or will be told to stop.
-        take_tasks_away(write, node_id, now).await?;
+        lose_tasks_of(write, node_id, now).await?;
     }
     let node = read(write.connection().await?, node_id).await?;
     match before {
@@ -137,13 +138,8 @@ pub(crate) async fn upsert(
 
 /// Takes a node's tasks away. They are ready again, and the node's next renewal brings the order to stop.
 pub(crate) async fn take_tasks_away(write: &mut Write, node: NodeId, now: Timestamp) -> Result<()> {
-    let held = sqlx::query_scalar!(
-        "SELECT id FROM leases WHERE node_id = ? AND state = 'active' ORDER BY id",
-        node.0
-    )
-    .fetch_all(write.connection().await?)
-    .await?;
-    leases::take_back(write, held.into_iter().map(LeaseId::from), now).await
+    let held = leases::active_leases_of(write, node).await?;
+    leases::take_back(write, held, now).await
 }
 
 /// Takes the tasks from nodes whose window has ended, if their terms say so. Returns how many nodes.

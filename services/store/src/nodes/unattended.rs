@@ -48,7 +48,7 @@ pub(crate) async fn unattended(
     now: Timestamp,
 ) -> Result<Unattended> {
     let jobs = sqlx::query!(
-        r#"SELECT j.id, j.project, j.renderer, j.rendered_by, j.denoise,
+        r#"SELECT j.id, j.project, j.paused, j.renderer, j.rendered_by, j.denoise,
                   EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.held = 1) AS "is_held!: bool"
            FROM jobs j WHERE j.state IN ('previewing', 'profiling')
            AND NOT EXISTS (SELECT 1 FROM tasks t WHERE t.job_id = j.id AND t.state = 'leased')"#
@@ -56,7 +56,7 @@ pub(crate) async fn unattended(
     .fetch_all(&mut *connection)
     .await?;
     let (held, jobs): (Vec<_>, Vec<_>) = jobs.into_iter().partition(|job| job.is_held);
-    let held = held.into_iter().map(|job| (JobId::from(job.id), Waits::for_budget(&job.project)));
+    let held = held.into_iter().map(|job| (JobId::from(job.id), Waits::of_held(job.paused, &job.project)));
     let needs_own = jobs.iter().all(|job| job.renderer.is_none() && !job.denoise);
     if jobs.is_empty() || needs_own && somebody_is_there(connection, ttl, now).await? {
         return Ok(Unattended { jobs: held.collect() });

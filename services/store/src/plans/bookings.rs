@@ -27,6 +27,7 @@ struct Row {
     start_at: Time,
     end_at: Time,
     state: String,
+    held: bool,
     holder: Option<Id>,
     started_at: Option<Time>,
     progress: f64,
@@ -38,8 +39,8 @@ struct Row {
 impl From<Row> for OpenBooking {
     fn from(row: Row) -> Self {
         let is_leased = row.state == "leased";
-        let held = row.holder.zip(row.started_at).filter(|_| is_leased);
-        let holder = held.map(|(node, started)| {
+        let attempt = row.holder.zip(row.started_at).filter(|_| is_leased);
+        let holder = attempt.map(|(node, started)| {
             let times = AttemptTimes::new(started, row.counts_from, row.progress_at);
             Holder::new(node.into(), times, row.progress, row.p95)
         });
@@ -54,7 +55,7 @@ impl From<Row> for OpenBooking {
             start: row.start_at.into(),
             end: row.end_at.into(),
         };
-        OpenBooking { booking, holder }
+        OpenBooking { booking, holder, held: row.held && !is_leased }
     }
 }
 
@@ -67,7 +68,7 @@ macro_rules! rows {
         sqlx::query_as!(
             Row,
             "SELECT b.id, b.plan_id, b.job_id, b.frame, b.part, b.parts, b.node_id, b.start_at, b.end_at, \
-             t.state, t.node_id AS holder, t.started_at, t.progress, l.progress_at AS \"progress_at?\", \
+             t.state, t.held, t.node_id AS holder, t.started_at, t.progress, l.progress_at AS \"progress_at?\", \
              l.counts_from AS \"counts_from?\", l.p95 AS \"p95?\" FROM jobs j \
              CROSS JOIN bookings b ON b.plan_id = j.plan_id AND b.job_id = j.id \
              JOIN tasks t INDEXED BY tasks_of_bookings \
@@ -123,7 +124,7 @@ pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Re
 async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Result<Vec<OpenBooking>> {
     let mut bookings: Vec<OpenBooking> = rows.into_iter().map(OpenBooking::from).collect();
     let mut speeds = Speeds::default();
-    for OpenBooking { booking, holder } in &mut bookings {
+    for OpenBooking { booking, holder, .. } in &mut bookings {
         if let Some(holder) = holder {
             let nodes = (booking.node_id, holder.node_id);
             let length = booking.end.micros_since(booking.start);

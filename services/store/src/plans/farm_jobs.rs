@@ -32,7 +32,7 @@ pub struct FarmJob {
     pub factor: f64,
     /// How long its frames keep a node beyond their CPU time.
     pub serial_time: SerialTime,
-    /// Its project's budget holds it back.
+    /// Its project's budget holds it back, or it is paused.
     pub held: bool,
     /// How often its deadline, budget or confidence were changed.
     pub terms: i64,

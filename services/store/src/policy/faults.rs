@@ -1,7 +1,8 @@
 //! Whose fault a failure is, and when a node is set aside for its faults.
 //!
 //! * A failure is held against a node only if others do not share it: the task succeeded elsewhere, its
-//!   result was not possible, or it made no progress and another node was first.
+//!   result was not possible, or it made no progress and another node was first. A worker that crashed, and was
+//!   started again, has failed.
 //! * Input that is gone is nobody's fault but its owner's, and a limit that a job set is the job's.
 //! * A node whose tasks stalled [`STALLED`] times, or which is at fault for [`FAULTS`] tasks, within
 //!   [`HELD_AGAINST`], is set aside. It gets no tasks until an operator brings it back.

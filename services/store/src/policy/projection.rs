@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp, Waits};
+use forelight_protocol::{Booking, Job, JobId, NodeId, SharedCacheBooking, Timestamp};
 
 use crate::policy::overdue::{AttemptTimes, TaskAttempt};
 
@@ -17,6 +17,8 @@ pub struct OpenBooking {
     pub booking: Booking,
     /// The worker that has the frame; `None` if none has.
     pub holder: Option<Holder>,
+    /// Whether its job is held, so that it is not handed out.
+    pub held: bool,
 }
 
 /// The worker that has a frame, or a part of a cache.
@@ -53,6 +55,8 @@ pub struct OpenCachePart {
     pub done: f64,
     /// The worker that has the part; `None` if none has. Its progress is that of the part, not of the round.
     pub holder: Option<Holder>,
+    /// Whether its job is held, so that it is not handed out.
+    pub held: bool,
 }
 
 /// When and where a booking's frame, or part of a cache, is expected to be done.
@@ -68,6 +72,8 @@ pub struct Projected<B = Booking> {
     pub end: Timestamp,
     /// Whether a worker has it.
     pub under_way: bool,
+    /// Whether it waits and is held: it then comes after all else, and says nothing of an end.
+    pub held: bool,
     /// What is known of that worker's attempt.
     pub attempt: Option<TaskAttempt>,
     /// Microseconds that it takes on its node.
@@ -89,15 +95,20 @@ pub struct Projection {
 /// What waits on a node.
 enum Waiting<'a> {
     Part(&'a OpenCachePart),
-    Frame(&'a Booking),
+    Frame(&'a OpenBooking),
 }
 
 impl Waiting<'_> {
-    /// Parts come before the frames that wait for them, even where they are booked at the same instant.
-    fn order(&self) -> (Timestamp, JobId, bool, u32, u32) {
+    /// What is held comes last. Parts come before the frames that wait for them, even where they are booked at the
+    /// same instant.
+    fn order(&self) -> (bool, Timestamp, JobId, bool, u32, u32) {
         match self {
-            Waiting::Part(part) => (part.booking.start, part.booking.job_id, false, 0, part.booking.part),
-            Waiting::Frame(booking) => (booking.start, booking.job_id, true, booking.frame, booking.part),
+            Waiting::Part(OpenCachePart { booking, held, .. }) => {
+                (*held, booking.start, booking.job_id, false, 0, booking.part)
+            }
+            Waiting::Frame(OpenBooking { booking, held, .. }) => {
+                (*held, booking.start, booking.job_id, true, booking.frame, booking.part)
+            }
         }
     }
 }
@@ -117,7 +128,16 @@ impl Busy {
         let end = holder.attempt.expected_end(length, self.now);
         let free = self.free_from.entry(node_id).or_insert(self.now);
         *free = (*free).max(end);
-        Projected { booking, node_id, start, end, under_way: true, attempt: Some(holder.attempt), length }
+        Projected {
+            booking,
+            node_id,
+            start,
+            end,
+            under_way: true,
+            held: false,
+            attempt: Some(holder.attempt),
+            length,
+        }
     }
 
     /// Work of `length` microseconds that waits: not before its booked start, and not before what is ahead of
@@ -127,7 +147,7 @@ impl Busy {
         let start = start.max(*free);
         let end = start.plus_micros(length);
         *free = end;
-        Projected { booking, node_id, start, end, under_way: false, attempt: None, length }
+        Projected { booking, node_id, start, end, under_way: false, held: false, attempt: None, length }
     }
 
     /// The job's cache is not full before this part is filled.
@@ -141,11 +161,11 @@ impl Busy {
 ///
 /// On every node, work under way comes first. Booked work follows in the order of its starts, none before its
 /// booked start and none before what is ahead of it is done. Frames also wait until the cache that they share
-/// is full.
+/// is full. What is held delays nothing.
 pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) -> Projection {
     let mut busy = Busy { now, free_from: BTreeMap::new(), full_from: BTreeMap::new() };
     let mut projection = Projection::default();
-    for OpenBooking { booking, holder } in open {
+    for OpenBooking { booking, holder, .. } in open {
         if let Some(holder) = holder {
             let booked = booking.end.micros_since(booking.start);
             projection.frames.push(busy.under_way(booking.clone(), booked, holder));
@@ -159,24 +179,25 @@ pub fn project(open: &[OpenBooking], parts: &[OpenCachePart], now: Timestamp) ->
             projection.cache_parts.push(part);
         }
     }
-    let frames = open.iter().filter(|open| open.holder.is_none()).map(|open| Waiting::Frame(&open.booking));
+    let frames = open.iter().filter(|open| open.holder.is_none()).map(Waiting::Frame);
     let parts = parts.iter().filter(|open| open.holder.is_none()).map(Waiting::Part);
     let mut waiting: Vec<Waiting> = frames.chain(parts).collect();
     waiting.sort_by_key(Waiting::order);
     for waiting in waiting {
         match waiting {
-            Waiting::Part(OpenCachePart { booking, done, .. }) => {
+            Waiting::Part(OpenCachePart { booking, done, held, .. }) => {
                 let booked = booking.end.micros_since(booking.start) as f64;
                 let length = (booked * (1.0 - done.clamp(0.0, 1.0))) as i64;
                 let part = busy.waiting(booking.clone(), booking.node_id, booking.start, length.max(1));
                 busy.fills(&part);
-                projection.cache_parts.push(part);
+                projection.cache_parts.push(Projected { held: *held, ..part });
             }
-            Waiting::Frame(booking) => {
+            Waiting::Frame(OpenBooking { booking, held, .. }) => {
                 let full = busy.full_from.get(&booking.job_id).copied().unwrap_or(now);
                 let length = booking.end.micros_since(booking.start);
                 let start = booking.start.max(full);
-                projection.frames.push(busy.waiting(booking.clone(), booking.node_id, start, length));
+                let frame = busy.waiting(booking.clone(), booking.node_id, start, length);
+                projection.frames.push(Projected { held: *held, ..frame });
             }
         }
     }
@@ -225,23 +246,22 @@ impl Projection {
         frames.chain(self.cache_full_at(job)).max()
     }
 
-    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or if a budget holds
-    /// the job.
+    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or held.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
-        let own = self.frames.iter().filter(|frame| frame.booking.job_id == job.id);
+        let own = self.frames.iter().filter(|frame| frame.booking.job_id == job.id && !frame.held);
         let booked = own.map(|frame| frame.booking.frame).collect::<BTreeSet<_>>().len();
         let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
-        let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
-        self.finish_of(job.id).filter(|_| !waits_for_money && booked >= open as usize)
+        self.finish_of(job.id).filter(|_| booked >= open as usize)
     }
 
-    /// When each job ends, for lists of many jobs.
+    /// When each job ends, for lists of many jobs. Of what is held, nobody knows.
     pub fn ends(&self) -> JobEnds {
         let mut ends: BTreeMap<JobId, (usize, Timestamp)> = BTreeMap::new();
         let mut seen = BTreeSet::new();
-        let frames =
-            self.frames.iter().map(|frame| (frame.booking.job_id, Some(frame.booking.frame), frame.end));
-        let parts = self.cache_parts.iter().map(|part| (part.booking.job_id, None, part.end));
+        let frames = self.frames.iter().filter(|frame| !frame.held);
+        let frames = frames.map(|frame| (frame.booking.job_id, Some(frame.booking.frame), frame.end));
+        let parts = self.cache_parts.iter().filter(|part| !part.held);
+        let parts = parts.map(|part| (part.booking.job_id, None, part.end));
         for (job, frame, end) in frames.chain(parts) {
             let (booked, last) = ends.entry(job).or_insert((0, end));
             // The parts of a divided frame are one frame.
@@ -266,8 +286,7 @@ impl JobEnds {
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
         let &(booked, end) = self.0.get(&job.id)?;
         let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
-        let waits_for_money = job.waits.as_ref().is_some_and(Waits::is_for_money);
-        (!waits_for_money && booked >= open as usize).then_some(end)
+        (booked >= open as usize).then_some(end)
     }
 
     /// As [`Projection::finish_of`].
@@ -320,14 +339,20 @@ mod tests {
                 start: at(start),
                 end: at(end),
             };
-            OpenBooking { booking, holder }
+            OpenBooking { booking, holder, held: false }
+        }
+
+        /// A booking of another job that is held.
+        fn held_frame(&self, node: usize, span: (i64, i64)) -> OpenBooking {
+            let open = self.frame(0, node, span, None);
+            OpenBooking { booking: Booking { job_id: JobId::new(), ..open.booking }, held: true, ..open }
         }
 
         fn part(&self, node: usize, (start, end): (i64, i64), done: f64) -> OpenCachePart {
             let node_id = self.nodes[node];
             let booking =
                 SharedCacheBooking { job_id: self.job, part: 0, node_id, start: at(start), end: at(end) };
-            OpenCachePart { booking, done, holder: None }
+            OpenCachePart { booking, done, holder: None, held: false }
         }
 
         fn held(&self, node: usize, started: i64, progress: f64) -> Option<Holder> {
@@ -388,5 +413,19 @@ mod tests {
         assert_eq!((found.cache_full_at(farm.job), times(&found)), (Some(at(10)), vec![(0, 10, 20)]));
         let same_node = project(&open, &[farm.part(0, (0, 20), 0.0)], at(0));
         assert_eq!(times(&same_node), [(0, 20, 30)], "the part goes first");
+    }
+
+    #[test]
+    fn what_is_held_delays_no_other_job_and_has_no_end() {
+        let farm = Farm::new();
+        let open = [farm.held_frame(0, (0, 50)), farm.frame(1, 0, (60, 80), None)];
+        let held = open[0].booking.job_id;
+        // Its booking has passed.
+        let projection = project(&open, &[], at(70));
+        let ends = projection.ends();
+        assert_eq!((ends.finish_of(farm.job), ends.finish_of(held)), (Some(at(90)), None));
+        assert_eq!(ends.last(), Some(at(90)));
+        let of_held = projection.frames.iter().find(|frame| frame.held).expect("it is booked");
+        assert_eq!((of_held.start, of_held.end), (at(90), at(140)));
     }
 }

@@ -11,7 +11,8 @@
 //! * A task that exceeds its job's own limit of time or memory fails it at attempt number [`PERMANENT_ATTEMPTS`],
 //!   if there is no other node to try: each attempt takes as long as the limit allows.
 //! * Input that is gone fails the job at once.
-//! * A task whose worker is lost [`MAX_EXPIRIES`] times fails its job.
+//! * A task whose worker is lost goes to another node first, too: it may be the task that ends its workers. From
+//!   loss number [`MAX_EXPIRIES`] on it fails its job, if it lost workers on two nodes or no other can try.
 
 use forelight_protocol::{FailureKind, TaskError, TaskId};
 
@@ -97,9 +98,11 @@ pub(crate) fn job_error(error: &TaskError, tried: &Tried<'_>) -> Option<String> 
     Some(format!("{} (it failed {times}; the log of task {task} says more)", error.message))
 }
 
-/// The error that fails the job after so many lost workers of one task; `None` if the task is tried again.
-pub(crate) fn job_error_of_lost_workers(expiries: u32) -> Option<String> {
-    (expiries >= MAX_EXPIRIES).then(|| format!("{expiries} workers were lost on this task"))
+/// The error that fails the job after so many lost workers of one task, on these nodes, where so many others could
+/// try; `None` if the task is tried again.
+pub(crate) fn job_error_of_lost_workers(expiries: u32, nodes: &[String], others: u32) -> Option<String> {
+    (expiries >= MAX_EXPIRIES && (nodes.len() > 1 || others == 0))
+        .then(|| format!("{expiries} workers were lost on this task, on {}", nodes.join(", ")))
 }
 
 #[cfg(test)]
@@ -180,7 +183,10 @@ mod tests {
 
     #[test]
     fn lost_workers_are_counted_up_to_their_limit() {
-        assert_eq!(job_error_of_lost_workers(9), None);
-        assert!(job_error_of_lost_workers(10).is_some());
+        let nodes = ["a".to_owned(), "b".to_owned()];
+        assert_eq!(job_error_of_lost_workers(9, &nodes, 0), None);
+        assert!(job_error_of_lost_workers(10, &nodes, 5).is_some_and(|error| error.ends_with("on a, b")));
+        assert_eq!(job_error_of_lost_workers(99, &nodes[..1], 5), None, "another node could try");
+        assert!(job_error_of_lost_workers(10, &nodes[..1], 0).is_some_and(|error| error.ends_with("on a")));
     }
 }

@@ -9,7 +9,7 @@
 //! | the plan does not keep the job's deadline, or no longer will | the deadline matters more than money |
 //! | the idle node costs no more for such work than the booked one | the plan's cost is kept |
 //! | the frame is [`OVERDUE`] or has no booking | its node is late |
-//! | the frame has failed on another node | another node is the better experiment |
+//! | the frame has failed or lost its worker on another node | another node is the better experiment |
 //! | the booked node gets no tasks, or is lost | no other node would render the frame |
 //!
 //! Otherwise the idle node waits, and says for which node.

@@ -45,6 +45,7 @@ struct Row {
     start_at: Time,
     end_at: Time,
     state: String,
+    held: bool,
     holder: Option<Id>,
     started_at: Option<Time>,
     progress: f64,
@@ -60,8 +61,8 @@ impl From<Row> for OpenCachePart {
         let (is_leased, is_filled) = (row.state == "leased", row.state == "done");
         let PartDone { done, with_worker } =
             part_done((row.parts, row.levels), row.round, is_filled, row.progress);
-        let held = row.holder.zip(row.started_at).filter(|_| is_leased);
-        let holder = held.map(|(node, started)| {
+        let attempt = row.holder.zip(row.started_at).filter(|_| is_leased);
+        let holder = attempt.map(|(node, started)| {
             let times = AttemptTimes::new(started, row.counts_from, row.progress_at);
             Holder::new(node.into(), times, with_worker, None)
         });
@@ -72,7 +73,7 @@ impl From<Row> for OpenCachePart {
             start: row.start_at.into(),
             end: row.end_at.into(),
         };
-        OpenCachePart { booking, done, holder }
+        OpenCachePart { booking, done, holder, held: row.held && !is_leased }
     }
 }
 
@@ -81,7 +82,7 @@ macro_rules! rows {
     ($which:literal $(, $value:expr)* $(,)?) => {
         sqlx::query_as!(
             Row,
-            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, \
+            "SELECT b.job_id, b.part AS \"part!\", b.node_id, b.start_at, b.end_at, t.state, t.held, \
              t.node_id AS holder, t.started_at, t.progress, h.progress_at AS \"progress_at?\", \
              h.counts_from AS \"counts_from?\", t.round AS \"round!\", \
              (SELECT count(*) FROM shared_cache_bookings o \

@@ -142,6 +142,36 @@ async fn a_node_whose_failures_no_other_shares_is_set_aside_with_the_reason_unti
 }
 
 #[tokio::test]
+async fn a_node_whose_workers_crash_on_what_others_do_is_set_aside_and_one_that_falls_silent_is_not() {
+    let farm = Farm::new().await;
+    let good = farm.node("good").await;
+    let (crashing, silent) =
+        (farm.new_worker("crashing", at(0)).await, farm.new_worker("silent", at(0)).await);
+    for round in 1..=FAULTS {
+        assert_eq!(farm.store.node(crashing.id).await.unwrap().set_aside, None, "round {round}");
+        for (node, crashes) in [(&crashing, true), (&silent, false)] {
+            let start = at(1000 * round + 500 * i64::from(crashes));
+            let (soon, later) = (start.plus_micros(SECOND), start.plus_micros(60 * SECOND));
+            farm.node("good").await;
+            farm.job("0").await;
+            farm.claim(node.id, start).await.unwrap();
+            if crashes {
+                farm.new_worker(&node.name, soon).await;
+            }
+            let lease = farm.claim(good.id, later).await.unwrap();
+            farm.commit(&lease, later).await;
+        }
+    }
+    let reason = farm.store.node(crashing.id).await.unwrap().set_aside.unwrap();
+    assert!(reason.contains("3 tasks") && reason.contains("no other node shared"), "{reason}");
+    assert_eq!(
+        farm.store.node(silent.id).await.unwrap().set_aside,
+        None,
+        "machines are switched off at night"
+    );
+}
+
+#[tokio::test]
 async fn what_others_share_or_the_job_set_itself_is_not_held_against_a_node() {
     let farm = Farm::new().await;
     let (node, other) = (farm.node("a").await, farm.node("b").await);

@@ -131,6 +131,39 @@ async fn the_tenth_lost_worker_fails_the_job() {
 }
 
 #[tokio::test]
+async fn a_task_whose_worker_was_lost_goes_to_another_node_first() {
+    let farm = Farm::new().await;
+    let (a, b) = (farm.node("a").await, farm.node("b").await);
+    farm.job("0").await;
+    let lost = farm.claim(a.id, at(0)).await.unwrap();
+    farm.store.register_node(&registration("b"), None, at(25)).await.unwrap();
+    assert_eq!(farm.store.sweep(at(30)).await.unwrap().expired, 1);
+    assert_eq!(farm.claim(a.id, at(31)).await, None, "the node on which it was lost waits for the other");
+    let again = farm.claim(b.id, at(31)).await.unwrap();
+    assert_eq!(again.task_id, lost.task_id);
+    farm.store.release(again.lease_id, again.fence, at(32)).await.unwrap();
+    assert!(farm.claim(a.id, at(41)).await.is_some(), "but not for long");
+}
+
+#[tokio::test]
+async fn a_task_that_ends_its_worker_each_time_fails_its_job_however_soon_another_worker_starts() {
+    let farm = Farm::new().await;
+    let job = farm.job("0").await;
+    for round in 1..=i64::from(MAX_EXPIRIES) {
+        let node = farm.new_worker("a", at(round)).await;
+        assert_eq!(farm.store.job(job.id).await.unwrap().state, JobState::Previewing, "round {round}");
+        assert!(farm.claim(node.id, at(round)).await.is_some(), "round {round}");
+    }
+    farm.new_worker("a", at(20)).await;
+    let job = farm.store.job(job.id).await.unwrap();
+    assert_eq!(job.state, JobState::Failed);
+    assert!(
+        job.error.as_ref().is_some_and(|it| it.ends_with("10 workers were lost on this task, on a")),
+        "{job:?}"
+    );
+}
+
+#[tokio::test]
 async fn a_result_that_names_a_missing_artefact_is_refused_and_the_lease_stays() {
     let farm = Farm::new().await;
     let node = farm.node("a").await;

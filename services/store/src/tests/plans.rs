@@ -145,7 +145,7 @@ fn spans(projected: &[Projected]) -> Vec<(u32, i64, i64)> {
 fn late_bookings_are_pushed_back_one_behind_the_other_and_punctual_ones_stay() {
     let open: Vec<_> =
         [booking(0, 1, 0, 10), booking(1, 1, 10, 20), booking(2, 1, 100, 110), booking(3, 2, 0, 5)]
-            .map(|booking| OpenBooking { booking, holder: None })
+            .map(|booking| OpenBooking { booking, holder: None, held: false })
             .into();
     assert_eq!(
         spans(&project(&open, &[], at(15)).frames),
@@ -161,11 +161,11 @@ fn a_frame_under_way_takes_its_holder_not_its_booked_node_and_always_ends_after_
         Some(Holder { node_id, started: at(started), attempt, slowness: 1.0 })
     };
     let open = [
-        OpenBooking { booking: booking(0, 1, 0, 100), holder: holder(2, 0, 0.5) },
-        OpenBooking { booking: booking(1, 2, 0, 10), holder: None },
-        OpenBooking { booking: booking(2, 1, 0, 10), holder: None },
-        OpenBooking { booking: booking(3, 3, 0, 10), holder: holder(3, 0, 1.0) },
-        OpenBooking { booking: booking(4, 4, 30, 40), holder: holder(4, 45, 0.0) },
+        OpenBooking { booking: booking(0, 1, 0, 100), holder: holder(2, 0, 0.5), held: false },
+        OpenBooking { booking: booking(1, 2, 0, 10), holder: None, held: false },
+        OpenBooking { booking: booking(2, 1, 0, 10), holder: None, held: false },
+        OpenBooking { booking: booking(3, 3, 0, 10), holder: holder(3, 0, 1.0), held: false },
+        OpenBooking { booking: booking(4, 4, 30, 40), holder: holder(4, 45, 0.0), held: false },
     ];
     let projected = project(&open, &[], at(50));
     // Frame 3 waits for its delivery, and frame 4 has said nothing since it began.
@@ -183,14 +183,17 @@ fn frames_wait_for_the_parts_of_their_cache_wherever_these_are() {
         start: at(start),
         end: at(end),
     };
-    let open =
-        [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking { booking, holder: None });
+    let open = [booking(0, 1, 20, 30), booking(1, 2, 20, 25)].map(|booking| OpenBooking {
+        booking,
+        holder: None,
+        held: false,
+    });
     // Node 3 is half through the second half of its part. The part on node 2 is done with one of two rounds.
     let attempt = TaskAttempt { since: at(10), progress: 0.75, sign: at(20), p95: None };
     let held = Holder { node_id: node(3), started: at(10), attempt, slowness: 1.0 };
     let parts = [
-        OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held) },
-        OpenCachePart { booking: part(1, 2, 0, 20), done: 0.5, holder: None },
+        OpenCachePart { booking: part(0, 3, 0, 40), done: 0.5, holder: Some(held), held: false },
+        OpenCachePart { booking: part(1, 2, 0, 20), done: 0.5, holder: None, held: false },
     ];
     let projection = project(&open, &parts, at(20));
     let found: Vec<_> = projection

@@ -185,6 +185,20 @@ async fn a_frame_that_should_have_begun_a_minute_ago_is_for_whoever_is_idle() {
 }
 
 #[tokio::test]
+async fn a_frame_that_lost_its_worker_is_for_whoever_is_idle_before_the_same_node_gets_it_again() {
+    let farm = Farm::new().await;
+    let cheap = farm.new_worker("cheap", at(0)).await;
+    let dear = farm.register(&priced("dear", 4)).await;
+    // It began ahead of the plan.
+    let job = farm.booked_job(bounded("0"), cheap.id, at(1000)).await;
+    farm.claim(cheap.id, at(1)).await.unwrap();
+    assert_eq!(farm.claim(dear.id, at(2)).await, None);
+    farm.new_worker("cheap", at(3)).await;
+    assert_eq!(farm.claim(cheap.id, at(4)).await, None);
+    assert_eq!(farm.frames_for(&dear, at(5)).await, [(job, 0)]);
+}
+
+#[tokio::test]
 async fn what_is_booked_on_a_node_that_is_lost_or_gets_no_tasks_is_for_whoever_is_idle() {
     for drained in [false, true] {
         let farm = Farm::new().await;

@@ -21,7 +21,7 @@ fn begins(node: u128) -> Holder {
 }
 
 fn under_way(frame: u32, node: u128) -> OpenBooking {
-    OpenBooking { booking: booking(own(), frame, node, (0, HOUR)), holder: Some(begins(node)) }
+    OpenBooking { booking: booking(own(), frame, node, (0, HOUR)), holder: Some(begins(node)), held: false }
 }
 
 fn effects_of(snapshot: &Snapshot) -> Vec<PlanEffect> {
@@ -58,8 +58,8 @@ fn without_a_node_its_part_of_a_cache_is_filled_elsewhere() {
         end: at(end),
     };
     let parts = [
-        OpenCachePart { booking: part(0, (0, HOUR)), done: 0.5, holder: Some(begins(2)) },
-        OpenCachePart { booking: part(1, (HOUR, 2 * HOUR)), done: 0.0, holder: None },
+        OpenCachePart { booking: part(0, (0, HOUR)), done: 0.5, holder: Some(begins(2)), held: false },
+        OpenCachePart { booking: part(1, (HOUR, 2 * HOUR)), done: 0.0, holder: None, held: false },
     ];
     let open = [under_way(0, 1), waiting(booking(own(), 1, 1, (2 * HOUR, 3 * HOUR)))];
     let before = snapshot(nodes, vec![farm_job(own(), &open)], &open, &parts);

@@ -47,7 +47,7 @@ fn a_job_that_a_budget_holds_keeps_its_place_only_until_another_needs_it() {
     assert!(found.jobs[0].verdict.reasons.iter().any(|reason| reason.contains("budget of project film")));
     assert_eq!(found.jobs[0].bookings.len(), 4, "it is booked behind the other");
     let (_, outlook) = &found.outlooks[0];
-    assert!(outlook.waits.as_ref().is_some_and(forelight_protocol::Waits::is_for_money), "{outlook:?}");
+    assert!(outlook.waits.as_ref().is_some_and(forelight_protocol::Waits::is_held), "{outlook:?}");
     assert!(outlook.promise.as_ref().is_some_and(|promise| !promise.kept), "{outlook:?}");
     assert!(verdicts(&settled(true, false)).is_empty(), "nobody needs its place");
 }

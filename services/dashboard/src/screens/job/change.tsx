@@ -1,4 +1,4 @@
-// Changing a job's deadline, budget, confidence and priority; going on with its quote; and cancelling it.
+// Changing a job's deadline, budget, confidence and priority; pausing and cancelling it; going on with its quote.
 
 import { useState } from "preact/hooks";
 import { cancelJob, changeJob } from "../../actions/jobs";
@@ -190,6 +190,32 @@ export function QuoteDialog(props: { job: Job; changed: () => void; close: () =>
       }}
     >
       <p>What failed is tried again. What was measured is kept.</p>
+    </Confirm>
+  );
+}
+
+export function PauseDialog(props: { job: Job; changed: () => void; close: () => void }) {
+  const { job } = props;
+  // What is asked stays what was asked, also when somebody else answers it meanwhile.
+  const [paused] = useState(!job.paused);
+  return (
+    <Confirm
+      title={paused ? `Pause ${clean(job.name)}?` : `Let ${clean(job.name)} go on?`}
+      act={paused ? "Pause the job" : "Resume the job"}
+      close={props.close}
+      run={async () => {
+        await changeJob(job.id, { paused });
+        props.changed();
+      }}
+    >
+      {paused ? (
+        <p>
+          What is being rendered goes on, and nothing more is begun. Its nodes are free for other jobs.{" "}
+          {job.deadline && "Its deadline is at risk until it is resumed."}
+        </p>
+      ) : (
+        <p>It is planned anew, with its deadline and priority.</p>
+      )}
     </Confirm>
   );
 }

@@ -12,11 +12,12 @@ import { Mark } from "../../ui/mark";
 import { Money, Prose, Time } from "../../ui/parts";
 import { RescueDialog } from "../tonight/rescue";
 import { BudgetHold } from "./budget";
-import { CancelDialog, ChangeDialog, QuoteDialog } from "./change";
+import { CancelDialog, ChangeDialog, PauseDialog, QuoteDialog } from "./change";
+import { Paused } from "./paused";
 
 export function JobHead(props: { job: Job; changed: () => void }) {
   const { job } = props;
-  const [asked, setAsked] = useState<"change" | "cancel" | "rescue" | "quote" | null>(null);
+  const [asked, setAsked] = useState<"change" | "pause" | "cancel" | "rescue" | "quote" | null>(null);
   const over = isOver(job.state);
   const close = () => setAsked(null);
   return (
@@ -51,6 +52,11 @@ export function JobHead(props: { job: Job; changed: () => void }) {
                 <button type="button" onClick={() => setAsked("change")}>
                   Change terms…
                 </button>
+                {!job.paused && (
+                  <button type="button" onClick={() => setAsked("pause")}>
+                    Pause…
+                  </button>
+                )}
                 <button type="button" class="danger" onClick={() => setAsked("cancel")}>
                   Cancel job…
                 </button>
@@ -83,7 +89,8 @@ export function JobHead(props: { job: Job; changed: () => void }) {
         </p>
       )}
       <BudgetHold job={job} />
-      {!over && job.waits && (
+      <Paused job={job} changed={props.changed} />
+      {!over && job.waits && !job.paused && (
         <p>
           It <Prose text={job.waits.because} bare />.
         </p>
@@ -99,6 +106,7 @@ export function JobHead(props: { job: Job; changed: () => void }) {
         </ul>
       )}
       {asked === "change" && <ChangeDialog job={job} changed={props.changed} close={close} />}
+      {asked === "pause" && <PauseDialog job={job} changed={props.changed} close={close} />}
       {asked === "quote" && <QuoteDialog job={job} changed={props.changed} close={close} />}
       {asked === "cancel" && <CancelDialog job={job} changed={props.changed} close={close} />}
       {asked === "rescue" && (

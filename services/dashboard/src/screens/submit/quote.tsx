@@ -13,6 +13,7 @@ import { Mark } from "../../ui/mark";
 import { AsOf, Money, Prose, Section, Trouble, Waiting } from "../../ui/parts";
 import { asError, useResource, useThrottled } from "../../ui/resource";
 import { BudgetHold } from "../job/budget";
+import { Paused } from "../job/paused";
 import { useTasks } from "../job/tasks";
 import { When } from "./when";
 
@@ -40,6 +41,7 @@ export function Quote(props: { id: string; edit: (job: Job) => void }) {
         {counted(doc.frames_total, "frame")} of {clean(doc.scene.name)}, {settingsWords(doc)}.
         {doc.plan_id ? "" : " Nothing is booked before you accept."}
       </p>
+      <Paused job={doc} changed={job.reload} />
       <Making job={doc} />
       {(doc.state === "quoted" || doc.plan_id) && <Ready job={doc} edit={props.edit} />}
       {doc.state === "failed" && (
@@ -114,7 +116,7 @@ function Making(props: { job: Job }) {
           </li>
         );
       })}
-      {job.waits && at >= 0 && job.state !== "quoted" && (
+      {job.waits && at >= 0 && job.state !== "quoted" && !job.paused && (
         <li class="muted">
           It <Prose text={job.waits.because} bare />.
         </li>
@@ -213,6 +215,8 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
         {answers.data ? (
           <>
             {answers.error && <Trouble error={answers.error} retry={answers.reload} />}
+            <BudgetHold job={job} />
+            {job.budget_hold && <p>If the budget held nothing:</p>}
             <When job={job} doc={answers.data} />
           </>
         ) : answers.error ? (
@@ -221,7 +225,6 @@ function Ready(props: { job: Job; edit: (job: Job) => void }) {
           <Waiting>Asking the planner…</Waiting>
         )}
       </Section>
-      <BudgetHold job={job} />
       {why.data && (
         <Section title="Why it costs that">
           <ul class="sentences">

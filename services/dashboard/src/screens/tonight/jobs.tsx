@@ -84,7 +84,7 @@ function JobRow(props: { job: DashboardJob; axis: Axis }) {
   return (
     <div role="row" class="job-row">
       <span role="cell" class="cell-state">
-        <Mark of={trouble ?? job.state} />
+        <Mark of={trouble ?? (job.paused ? "paused" : job.state)} />
       </span>
       <span role="cell" class="cell-name">
         <a href={linkOf(job)} class="name" title={clean(job.name)}>

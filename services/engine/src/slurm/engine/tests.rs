@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use forelight_protocol::{
-    BundleSource, EventKind, Job, JobId, JobRequest, JobState, Money, NodeChange, NodeId, NodeRegistration,
-    RenewRequest, SceneDigest, SceneSummary, TaskId,
+    BundleSource, EventKind, Job, JobChange, JobId, JobRequest, JobState, Money, NodeChange, NodeId,
+    NodeRegistration, RenewRequest, SceneDigest, SceneSummary, TaskId,
 };
 use forelight_store::{Answered, NewJob};
 
@@ -317,6 +317,31 @@ async fn what_slurm_refuses_is_told_with_its_words_and_tried_again_later() {
     let told = farm.told(EventKind::EngineState).await;
     assert_eq!(told.len(), 2, "{told:?}");
     assert!(told[0].contains("invalid partition specified: x"), "{told:?}");
+}
+
+#[tokio::test]
+async fn elements_of_a_paused_job_leave_slurm_without_a_loss_and_come_back_when_it_is_resumed() {
+    let mut farm = Farm::new().await;
+    let job = farm.job().await;
+    for round in 0..8 {
+        let start = 1000 * round;
+        farm.round(start).await;
+        assert_eq!(farm.slurm.said("sbatch").len() as i64, round + 1);
+        let set = async |farm: &Farm, paused, seconds| {
+            let change = JobChange { paused: Some(paused), ..JobChange::default() };
+            farm.store.change_job(job.id, &change, at(start + seconds)).await.unwrap();
+        };
+        set(&farm, true, 1).await;
+        farm.round(start + 2).await;
+        assert_eq!(farm.slurm.said("scancel").len() as i64, round + 1);
+        farm.slurm.all("CANCELLED");
+        farm.round(start + 3).await;
+        assert!(farm.store.open_slurm_arrays().await.unwrap().is_empty());
+        assert_eq!(farm.slurm.said("sbatch").len() as i64, round + 1, "it is paused");
+        set(&farm, false, 4).await;
+    }
+    assert_eq!(farm.state(job.id).await, (JobState::Previewing, None));
+    assert_eq!(farm.told(EventKind::SubmissionLost).await, Vec::<String>::new());
 }
 
 #[tokio::test]

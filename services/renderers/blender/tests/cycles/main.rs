@@ -74,6 +74,10 @@ fn channels(path: &Path) -> BTreeMap<String, Vec<f32>> {
     list.map(|c| (c.name.to_string(), c.sample_data.values_as_f32().collect())).collect()
 }
 
+fn seconds(nanos: u64) -> f64 {
+    nanos as f64 / 1e9
+}
+
 fn processes_of_ours() -> usize {
     let mark = format!("FORELIGHT_PROCESS={}-", std::process::id());
     let entries = std::fs::read_dir("/proc").unwrap().flatten();

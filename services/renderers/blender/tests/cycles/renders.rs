@@ -184,7 +184,3 @@ fn a_cancelled_render_leaves_no_process_and_the_shot_goes_on() {
     drop(shot);
     assert_eq!(processes_of_ours(), 0);
 }
-
-fn seconds(nanos: u64) -> f64 {
-    nanos as f64 / 1e9
-}
