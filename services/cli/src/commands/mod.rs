@@ -13,6 +13,7 @@ mod calibrate;
 mod cancel;
 mod change;
 mod dashboard;
+mod events;
 mod explain;
 mod export;
 mod farm;
@@ -115,6 +116,7 @@ enum Command {
     #[command(visible_alias = "webhooks")]
     Webhook(webhook::Args),
     Log(log::Args),
+    Events(events::Args),
     Retention(retention::Args),
     Prune(retention::PruneArgs),
     Delete(retention::DeleteArgs),
@@ -158,6 +160,7 @@ impl Cli {
             Command::Audit(args) => audit::run(args).await,
             Command::Webhook(args) => webhook::run(args).await,
             Command::Log(args) => log::run(args).await,
+            Command::Events(args) => events::run(args, interrupt).await,
             Command::Retention(args) => retention::run(args).await,
             Command::Prune(args) => retention::prune(args).await,
             Command::Delete(args) => retention::delete(args).await,

@@ -1,4 +1,4 @@
-//! The events of a job as they happen.
+//! Events as they happen.
 
 use crate::client::Client;
 use crate::error::ClientError;
@@ -10,7 +10,16 @@ use reqwest::header::{HeaderName, HeaderValue};
 impl Client {
     /// A job's events after `after`, until the service closes the stream. Without `after`, all of them.
     pub async fn events(&self, id: JobId, after: Option<EventId>) -> Result<EventStream, ClientError> {
-        let mut request = Request::get(format!("/v1/jobs/{id}/events")).timeout(None);
+        self.stream(format!("/v1/jobs/{id}/events"), after).await
+    }
+
+    /// The farm's events after `after`, until the service closes the stream. Without `after`, from now on.
+    pub async fn farm_events(&self, after: Option<EventId>) -> Result<EventStream, ClientError> {
+        self.stream("/v1/events".to_owned(), after).await
+    }
+
+    async fn stream(&self, path: String, after: Option<EventId>) -> Result<EventStream, ClientError> {
+        let mut request = Request::get(path).timeout(None);
         if let Some(after) = after {
             request.headers.insert(HeaderName::from_static("last-event-id"), HeaderValue::from(after));
         }
@@ -19,7 +28,7 @@ impl Client {
     }
 }
 
-/// An open stream of a job's events.
+/// An open stream of events.
 #[derive(Debug)]
 pub struct EventStream {
     response: reqwest::Response,
