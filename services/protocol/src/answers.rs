@@ -183,7 +183,7 @@ impl Waits {
         if paused { Self::for_resuming() } else { Self::for_budget(project) }
     }
 
-    /// Whether nothing of the job is begun until somebody changes its budget, or resumes it. It then has no end.
+    /// Whether nothing more of the job is started until somebody changes its budget, or resumes it. It has no end then.
     pub fn is_held(&self) -> bool {
         matches!(self.kind, WaitKind::Budget | WaitKind::Paused)
     }

@@ -152,7 +152,7 @@ pub struct DashboardJob {
     /// Whether it waits to be accepted once its quote is complete.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hold: bool,
-    /// Whether somebody paused it, so that nothing of it is begun.
+    /// Whether somebody paused it, so that nothing more of it is started.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub paused: bool,
     /// Number of frames.

@@ -165,8 +165,8 @@ pub struct JobChange {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(minimum = -1000, maximum = 1000)]
     pub priority: Option<i32>,
-    /// Whether to pause the job: its work under way goes on, and nothing of it is begun. Plans give its nodes to
-    /// others. `false`: it goes on.
+    /// Whether to pause the job: its work under way goes on, and nothing more of it is started. Plans give its nodes
+    /// to others. `false`: it goes on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub paused: Option<bool>,
 }
@@ -333,7 +333,7 @@ pub struct Job {
     /// Whether the job waits to be accepted once its quote is complete.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub hold: bool,
-    /// Whether somebody paused the job, so that nothing of it is begun.
+    /// Whether somebody paused the job, so that nothing more of it is started.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub paused: bool,
     /// Why the job failed. Absent if it did not.

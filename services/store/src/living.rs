@@ -152,7 +152,8 @@ fn baseline(before: Option<&Kept>, quoted: &Quoted, estimate: &Estimate) -> Base
     }
 }
 
-/// When the job's last frame is expected if bookings are longer by this factor; `None` without bookings.
+/// When the job's last frame is expected if bookings are longer by this factor; `None` without bookings, and while
+/// some are held.
 async fn expected_finish(
     connection: &mut SqliteConnection,
     job: JobId,
@@ -161,11 +162,12 @@ async fn expected_finish(
     now: Timestamp,
 ) -> Result<Option<Timestamp>> {
     let bookings = bookings::open_of(connection, job).await?;
-    if frames_of(&bookings) + (frames.done as usize) < frames.count() {
+    let free: Vec<_> = bookings.into_iter().filter(|open| !open.held).collect();
+    if frames_of(&free) + (frames.done as usize) < frames.count() {
         return Ok(None);
     }
     let parts = parts::open_of(connection, job).await?;
-    Ok(project(&stretched(&bookings, stretch), &parts, now).finish_of(job))
+    Ok(project(&stretched(&free, stretch), &parts, now).finish_of(job))
 }
 
 /// The job's cost in money; `None` if it was quoted without a price.

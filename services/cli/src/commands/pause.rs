@@ -1,4 +1,4 @@
-//! `forelight pause` and `forelight resume`: jobs of which nothing is begun for a while.
+//! `forelight pause` and `forelight resume`: nothing more of a job is started for a while.
 
 use super::cancel::find;
 use crate::connection::{ConnectionOptions, connect};
@@ -8,16 +8,16 @@ use forelight_protocol::{Job, JobChange};
 use forelight_terminal::output;
 use std::cell::RefCell;
 
-/// Pause jobs: nothing more of them is begun, and their nodes are free for other jobs
+/// Pause jobs: nothing more of them is started, and their nodes are free for other jobs
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   forelight pause kitchen --data farm-data
   forelight pause kitchen corridor --server http://farm:7878 --token-file me.token
 
-What is being rendered goes on. `forelight retry kitchen --frames 12` takes frame 12 back from its worker, and has \
-it rendered from the start later. A paused job has no expected end, and its promised deadline is at risk. `forelight resume` lets it go on: it is then planned \
-anew, with its deadline and priority.")]
+What is being rendered goes on. `forelight retry kitchen --frames 12` takes frame 12 back from its worker; the \
+frame is then rendered from the start. A paused job has no expected end, and its promised deadline is at risk. \
+`forelight resume` has it planned anew, with its deadline and priority.")]
 pub struct Args {
     #[command(flatten)]
     which: Which,

@@ -367,8 +367,8 @@ export interface paths {
         head?: never;
         /**
          * Changes deadline, budget, confidence or priority of a job, or pauses or resumes it. The farm is then planned again.
-         * @description Of a paused job nothing is begun: no preview, profile or frame. What is under way goes on; `frames/retry` takes it
-         *     back, to be rendered from the start later.
+         * @description Nothing more of a paused job is started: no preview, profile or frame. What is under way goes on. `frames/retry`
+         *     takes a frame back, which is then rendered from the start.
          */
         patch: operations["job_change"];
         trace?: never;
@@ -2463,7 +2463,7 @@ export interface components {
             id: components["schemas"]["JobId"];
             /** @description Its name. */
             name: string;
-            /** @description Whether somebody paused it, so that nothing of it is begun. */
+            /** @description Whether somebody paused it, so that nothing more of it is started. */
             paused?: boolean;
             /**
              * Format: double
@@ -3312,7 +3312,7 @@ export interface components {
             /** @description Name of the job. */
             name: string;
             output?: components["schemas"]["OutputPattern"] | null;
-            /** @description Whether somebody paused the job, so that nothing of it is begun. */
+            /** @description Whether somebody paused the job, so that nothing more of it is started. */
             paused?: boolean;
             plan_id?: components["schemas"]["PlanId"] | null;
             /**
@@ -3370,8 +3370,8 @@ export interface components {
             budget?: components["schemas"]["Money"] | null;
             confidence?: components["schemas"]["Confidence"] | null;
             deadline?: components["schemas"]["Timestamp"] | null;
-            /** @description Whether to pause the job: its work under way goes on, and nothing of it is begun. Plans give its nodes to
-             *     others. `false`: it goes on. */
+            /** @description Whether to pause the job: its work under way goes on, and nothing more of it is started. Plans give its nodes
+             *     to others. `false`: it goes on. */
             paused?: boolean | null;
             /**
              * Format: int32

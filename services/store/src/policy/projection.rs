@@ -246,14 +246,6 @@ impl Projection {
         frames.chain(self.cache_full_at(job)).max()
     }
 
-    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or held.
-    pub fn eta(&self, job: &Job) -> Option<Timestamp> {
-        let own = self.frames.iter().filter(|frame| frame.booking.job_id == job.id && !frame.held);
-        let booked = own.map(|frame| frame.booking.frame).collect::<BTreeSet<_>>().len();
-        let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);
-        self.finish_of(job.id).filter(|_| booked >= open as usize)
-    }
-
     /// When each job ends, for lists of many jobs. Of what is held, nobody knows.
     pub fn ends(&self) -> JobEnds {
         let mut ends: BTreeMap<JobId, (usize, Timestamp)> = BTreeMap::new();
@@ -282,7 +274,7 @@ impl Projection {
 pub struct JobEnds(BTreeMap<JobId, (usize, Timestamp)>);
 
 impl JobEnds {
-    /// As [`Projection::eta`].
+    /// When the last of a job's frames is expected; `None` if some are booked nowhere, or held.
     pub fn eta(&self, job: &Job) -> Option<Timestamp> {
         let &(booked, end) = self.0.get(&job.id)?;
         let open = job.frames_total.saturating_sub(job.frames_done + job.frames_cancelled);

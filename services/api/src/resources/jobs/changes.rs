@@ -29,8 +29,8 @@ pub(crate) async fn accept(
 
 /// Changes deadline, budget, confidence or priority of a job, or pauses or resumes it. The farm is then planned again.
 ///
-/// Of a paused job nothing is begun: no preview, profile or frame. What is under way goes on; `frames/retry` takes it
-/// back, to be rendered from the start later.
+/// Nothing more of a paused job is started: no preview, profile or frame. What is under way goes on. `frames/retry`
+/// takes a frame back, which is then rendered from the start.
 #[utoipa::path(patch, path = "/v1/jobs/{id}", operation_id = "job_change", tag = "jobs",
     params(("id" = JobId, Path)), request_body = JobChange,
     responses((status = 200, description = "The job", body = Job), Problems))]

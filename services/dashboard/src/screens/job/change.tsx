@@ -210,7 +210,7 @@ export function PauseDialog(props: { job: Job; changed: () => void; close: () =>
     >
       {paused ? (
         <p>
-          What is being rendered goes on, and nothing more is begun. Its nodes are free for other jobs.{" "}
+          What is being rendered goes on, and nothing more is started. Its nodes are free for other jobs.{" "}
           {job.deadline && "Its deadline is at risk until it is resumed."}
         </p>
       ) : (

@@ -13,7 +13,7 @@ export function Paused(props: { job: Job; changed: () => void }) {
   return (
     <>
       <p class="risk">
-        <Mark of="paused" /> Nothing more of it is begun until it is resumed.{" "}
+        <Mark of="paused" /> Nothing more of it is started until it is resumed.{" "}
         {maySubmitTo(job.project) && (
           <button type="button" onClick={() => setAsked(true)}>
             Resume…
