@@ -21,8 +21,10 @@ pub struct Scale {
     pub highest: f64,
 }
 
-/// Share of the pixels that may lie outside the scale, so that a few extremes do not flatten the rest.
-const OFF_SCALE: f64 = 0.005;
+/// Share of the pixels that may lie outside the scale, so that a few extremes do not flatten the rest. Costs that a
+/// renderer locates by blocks and by the clock have such extremes: the system interrupted a block. In a picture of
+/// 96 × 96 pixels, one is 0.7 %.
+const OFF_SCALE: f64 = 0.02;
 
 impl Scale {
     /// From the least value to one that only `OFF_SCALE` of the values exceed.
@@ -68,7 +70,7 @@ mod tests {
     fn a_scale_leaves_out_what_is_rare_and_is_never_of_no_width() {
         let mut values: Vec<f64> = (0..1000).map(f64::from).collect();
         values[999] = 1e9;
-        assert_eq!(Scale::of(&values), Scale { lowest: 0.0, highest: 995.0 });
+        assert_eq!(Scale::of(&values), Scale { lowest: 0.0, highest: 980.0 });
         assert_eq!(Scale::of(&[3.0; 10]), Scale { lowest: 3.0, highest: 4.0 });
         assert_eq!(Scale::of(&[]), Scale { lowest: 0.0, highest: 1.0 });
     }
