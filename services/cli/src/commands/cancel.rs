@@ -32,20 +32,35 @@ pub struct Args {
 }
 pub async fn run(args: Args) -> Result<()> {
     let client = connect(&args.connection)?;
-    let cancelled = RefCell::new(Vec::with_capacity(args.jobs.len()));
-    let outcome = each(&args.jobs, "cancelled", async |wanted: &str| {
-        let id = find(&client, wanted).await?;
-        let job = client.cancel(id).await.with_context(|| format!("cannot cancel job {wanted}"))?;
-        if !args.json {
-            let done = format!("{} of {}", job.frames_done, counted(job.frames_total, "frame"));
-            output::line(format!("{} ({id}) is {}; {done} done", job.name, job.state))?;
+    let act = async |id, wanted: &str| {
+        client.cancel(id).await.with_context(|| format!("cannot cancel job {wanted}"))
+    };
+    each_job((&client, &args.jobs, args.json), "cancelled", act, |job| {
+        let done = format!("{} of {}", job.frames_done, counted(job.frames_total, "frame"));
+        format!("{} ({}) is {}; {done} done", job.name, job.id, job.state)
+    })
+    .await
+}
+
+/// Does the same to all of several open jobs, each for itself. Prints a line for each of them, or all as JSON.
+pub(super) async fn each_job(
+    (client, wanted, json): (&Client, &[String], bool),
+    did: &str,
+    act: impl AsyncFn(JobId, &str) -> Result<Job>,
+    line: impl Fn(&Job) -> String,
+) -> Result<()> {
+    let jobs = RefCell::new(Vec::with_capacity(wanted.len()));
+    let outcome = each(wanted, did, async |wanted: &str| {
+        let job = act(find(client, wanted).await?, wanted).await?;
+        if !json {
+            output::line(line(&job))?;
         }
-        cancelled.borrow_mut().push(job);
+        jobs.borrow_mut().push(job);
         Ok(())
     })
     .await;
-    if args.json && (outcome.is_ok() || args.jobs.len() > 1) {
-        output::json(&cancelled.into_inner())?;
+    if json && (outcome.is_ok() || wanted.len() > 1) {
+        output::json(&jobs.into_inner())?;
     }
     outcome
 }

@@ -1,12 +1,9 @@
 //! `forelight pause` and `forelight resume`: nothing more of a job is started for a while.
 
-use super::cancel::find;
+use super::cancel::each_job;
 use crate::connection::{ConnectionOptions, connect};
-use crate::named::each;
 use anyhow::{Context, Result};
 use forelight_protocol::{Job, JobChange};
-use forelight_terminal::output;
-use std::cell::RefCell;
 
 /// Pause jobs: nothing more of them is started, and their nodes are free for other jobs
 #[derive(Debug, clap::Args)]
@@ -56,24 +53,12 @@ pub async fn resume(args: ResumeArgs) -> Result<()> {
 
 async fn set(which: Which, paused: bool) -> Result<()> {
     let client = connect(&which.connection)?;
-    let (act, did) = if paused { ("pause", "paused") } else { ("resume", "resumed") };
-    let changed = RefCell::new(Vec::with_capacity(which.jobs.len()));
-    let outcome = each(&which.jobs, did, async |wanted: &str| {
-        let id = find(&client, wanted).await?;
+    let (verb, did) = if paused { ("pause", "paused") } else { ("resume", "resumed") };
+    let act = async |id, wanted: &str| {
         let change = JobChange { paused: Some(paused), ..JobChange::default() };
-        let job =
-            client.change_job(id, &change).await.with_context(|| format!("cannot {act} job {wanted}"))?;
-        if !which.json {
-            output::line(line(&job))?;
-        }
-        changed.borrow_mut().push(job);
-        Ok(())
-    })
-    .await;
-    if which.json && (outcome.is_ok() || which.jobs.len() > 1) {
-        output::json(&changed.into_inner())?;
-    }
-    outcome
+        client.change_job(id, &change).await.with_context(|| format!("cannot {verb} job {wanted}"))
+    };
+    each_job((&client, &which.jobs, which.json), did, act, line).await
 }
 
 fn line(job: &Job) -> String {
