@@ -218,11 +218,16 @@ impl JobRow {
             verdict: self.verdict.map(|it| it.0),
             plan_id: self.plan_id.map(Into::into),
             // A job with a running frame does not wait, whatever the plan says. It may still be held.
-            waits: paused
-                .then(Waits::for_resuming)
-                .or(outlook.waits.filter(|waits| !progress.begun || waits.is_held()))
-                .filter(|waits| self.paused || waits.kind != WaitKind::Paused)
-                .filter(|_| !state.is_final()),
+            // The newest plan may not know yet whether it is paused.
+            waits: if paused {
+                Some(Waits::for_resuming())
+            } else {
+                outlook.waits.filter(|waits| {
+                    waits.kind != WaitKind::Paused
+                        && (!progress.begun || waits.is_held())
+                        && !state.is_final()
+                })
+            },
             promise: outlook.promise.filter(|_| is_planned),
             probability: outlook.probability.filter(|_| is_planned && !state.is_final()),
             budget_hold: outlook.budget_hold.filter(|_| !state.is_final()),
