@@ -30,9 +30,26 @@ run "${light[@]}" --spp 1024 --seed 99 --out "$work/converged.exr"
 for samples in 4 16; do
   echo "$samples samples"
   run "${light[@]}" --spp $samples --out "$work/noisy.exr"
-  run "${light[@]}" --spp $samples --denoise --out "$work/denoised.exr" --stats "$work/stats.json"
-  "$environment/bin/python" "$here/denoise_peer.py" "$work"/{noisy,denoised,converged}.exr "$work/stats.json"
+  run "${light[@]}" --spp $samples --denoise --out "$work/denoised-$samples.exr" --stats "$work/stats.json"
+  "$environment/bin/python" "$here/denoise_peer.py" \
+    "$work"/{noisy,"denoised-$samples",converged}.exr "$work/stats.json"
 done
+
+# forecast FLAGS…: the ladders.
+forecast() {
+  "$FORELIGHT_BIN" accuracy "$@" --denoise --json >"$work/ladders.json" 2>"$work/log" ||
+    { cat "$work/log"; fail "accuracy $*"; }
+}
+echo 'the same errors, forecast'
+forecast "${scene[@]}" "${light[@]}" --spp 4
+"$environment/bin/python" "$here/denoise_forecast.py" "$work/ladders.json" \
+  4:"$work/denoised-4.exr:$work/converged.exr" 16:"$work/denoised-16.exr:$work/converged.exr"
+echo 'and those of a larger image, by some of its tiles'
+larger=(deploy/scenes/kitchen --width 256 --height 144 --preview cpu "${light[@]}" --spp 4)
+forecast "${larger[@]}"
+"$FORELIGHT_BIN" render "${larger[@]}" --denoise --out "$work/larger.exr" --stats "$work/stats.json" >"$work/log" 2>&1 ||
+  { cat "$work/log"; fail 'a larger image'; }
+"$environment/bin/python" "$here/denoise_forecast.py" "$work/ladders.json" 4:"$work/stats.json"
 
 echo 'an image with a cache, in a sequence, as a picture'
 run --cache on --frames 0-1 --spp 1 --denoise --out "$work/draft-####.png"
@@ -49,6 +66,14 @@ for parts in 1 2; do
   run "${cached[@]}" --server "$server" --data "$work/data" --parts $parts --out "$work/farm.exr" --stats "$work/stats.json"
   "$environment/bin/python" "$here/denoise_farm.py" "$work"/{here,farm}.exr "$work/stats.json"
 done
+
+echo 'ladders in a quote of the farm'
+at=(--server "$server" --data "$work/data")
+"$FORELIGHT_BIN" submit deploy/scenes/kitchen "${at[@]}" --frames 0-3 --width 48 --height 27 --spp 2 \
+  --ambient-bounces 1 --name ladders --ladders --denoise --hold --follow >"$work/log" 2>&1 ||
+  { cat "$work/log"; fail 'submit --ladders --denoise'; }
+"$FORELIGHT_BIN" accuracy "${at[@]}" --job ladders --json >"$work/ladders.json"
+"$environment/bin/python" "$here/denoise_forecast.py" "$work/ladders.json"
 
 echo 'errors'
 # refuse TEXT VARIABLE FLAGS…: a render must fail with this text and leave nothing.

@@ -32,7 +32,8 @@ pub enum Ladders {
     #[default]
     Own,
     /// All. One frame is also profiled with the other settings before the quote. This costs about 500,000
-    /// camera samples, which are part of the cost of quoting.
+    /// camera samples, which are part of the cost of quoting. If the job asks for denoising, it costs up to 2.5
+    /// million more, and every rung has a `denoised_error`.
     All,
 }
 
@@ -130,10 +131,20 @@ pub struct MeasuredRung {
     pub denoised: Option<DenoisedRung>,
 }
 
+impl MeasuredRung {
+    /// CPU seconds and error of the image as it is delivered: denoised, if it was.
+    pub fn delivered(&self) -> (f64, f64) {
+        match self.denoised {
+            Some(denoised) => (self.cpu_seconds + denoised.cpu_seconds, denoised.error),
+            None => (self.cpu_seconds, self.error),
+        }
+    }
+}
+
 /// Cost and error of a denoised image.
 #[derive(Clone, Copy, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 pub struct DenoisedRung {
-    /// CPU seconds of denoising, beside those of the image.
+    /// CPU seconds of denoising and of measuring what is left, beside those of the image.
     pub cpu_seconds: f64,
     /// Error as in [`ImageError`], less that of the reference image. 0 if it is too small to be measured.
     pub error: f64,
@@ -157,6 +168,10 @@ pub struct AccuracyRung {
     /// Expected error of the image. Absent if the profiled pixels do not show it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<ImageError>,
+    /// Expected error once the noise was removed. Present if denoising and all ladders were asked for.
+    /// `cpu_seconds` include denoising then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub denoised_error: Option<ImageError>,
     /// Whether no other rung is both cheaper and better, by the medians. Always false for resolutions.
     pub worth_taking: bool,
     /// The next better rung that is worth taking. Absent for the best one, and if this one is not worth
@@ -166,6 +181,13 @@ pub struct AccuracyRung {
     /// Measured cost and error, if it was rendered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub measured: Option<MeasuredRung>,
+}
+
+impl AccuracyRung {
+    /// Expected error of the image as it is delivered: denoised, if that was asked for.
+    pub fn delivered_error(&self) -> Option<ImageError> {
+        self.denoised_error.or(self.error)
+    }
 }
 
 /// A ladder that is missing or has no errors, or a rung that is left out.

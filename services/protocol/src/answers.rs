@@ -265,7 +265,8 @@ pub struct QualityOffer {
     pub settings: RenderSettings,
     /// Whether these are the job's own settings.
     pub asked_for: bool,
-    /// Expected error of the images against converged ones. Absent if unknown.
+    /// Expected error of the images against converged ones. It is that of denoised images if the job asks for
+    /// denoising and for all `ladders`. Absent if unknown.
     pub error: Option<ImageError>,
     /// When the job would finish. Absent if it never would.
     pub finish: Option<Timestamp>,

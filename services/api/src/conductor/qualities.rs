@@ -68,7 +68,7 @@ pub(crate) fn qualities<'a>(
         }
     }
     best_first.sort_by(|a, b| {
-        let error = |rung: &AccuracyRung| rung.error.map_or(f64::INFINITY, |error| error.p50);
+        let error = |rung: &AccuracyRung| rung.delivered_error().map_or(f64::INFINITY, |error| error.p50);
         let pixels = b.settings.pixels().cmp(&a.settings.pixels());
         pixels.then(error(a).total_cmp(&error(b))).then(b.cpu_seconds.p50.total_cmp(&a.cpu_seconds.p50))
     });
@@ -94,14 +94,15 @@ fn offer(
     let Risk { probability, .. } = risk(farm, &input, &plan, job)?;
     let within = plan.job(job as u64).is_some_and(|entry| entry.within_budget != Some(false));
     let mut words = in_words(&rung.settings, &own.settings);
-    if let Some((error, before)) = rung.error.zip(own.error) {
+    let error = rung.delivered_error();
+    if let Some((error, before)) = error.zip(own.delivered_error()) {
         words += &format!(" (an error of {:.1} % instead of {:.1} %)", error.p50 * 100.0, before.p50 * 100.0);
     }
     Ok(Offered {
         offer: QualityOffer {
             settings: rung.settings.clone(),
             asked_for: rung.asked_for,
-            error: rung.error,
+            error,
             finish: finish.map(Timestamp::from_micros),
             probability,
             cost: Money(plan.cost),
@@ -173,6 +174,7 @@ mod tests {
             work: Quantiles::known(1.0),
             cpu_seconds: Quantiles::known(seconds),
             error: None,
+            denoised_error: None,
             worth_taking: false,
             next: None,
             measured: None,

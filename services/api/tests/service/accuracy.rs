@@ -298,6 +298,8 @@ async fn ladders_that_make_no_sense_are_refused_with_the_place() {
         (at(&|l| l.rungs[0].work.p80 = -1.0), first("work")),
         (at(&|l| l.rungs[0].cpu_seconds.mean = 1e31), first("cpu_seconds")),
         (at(&|l| l.rungs[0].error.as_mut().unwrap().p95 = -0.1), first("error")),
+        // The job's images keep their noise.
+        (at(&|l| l.rungs[0].denoised_error = l.rungs[0].error), first("denoised_error")),
         (at(&|l| l.missing[0].reason = "x".repeat(5000)), "/result/profile/ladders/missing".to_owned()),
         (at(&|l| l.profiled.pixels = u64::MAX), "/result/profile/ladders/profiled/pixels".to_owned()),
         (at(&|l| l.spent.work = u64::MAX), "/result/profile/ladders/spent/work".to_owned()),

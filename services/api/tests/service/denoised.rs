@@ -1,12 +1,14 @@
 //! Jobs whose images have their noise removed.
 
-use crate::support::made_up::{DENOISING, made_up_denoised};
+use crate::support::made_up::{DENOISED_SHARE, DENOISING, made_up_denoised, made_up_times};
 use crate::support::{Answer, Farm};
 use forelight_protocol::{
-    DenoisedStats, FrameRow, Job, JobState, Node, ProblemKind, RenderStats, TaskKind, TaskResult, TaskSpec,
+    AccuracyDoc, AnswersDoc, DenoisedStats, FrameRow, Job, JobState, Node, ProblemKind, RenderStats,
+    TaskKind, TaskResult, TaskSpec,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
+use std::collections::BTreeSet;
 
 fn request(farm: &Farm, frames: &str) -> Value {
     let mut request = farm.job_request(frames);
@@ -78,6 +80,43 @@ async fn only_nodes_with_a_denoiser_profile_and_render_the_job() {
     let path = format!("/v1/jobs/{}/frames/0", job.id);
     let frame: FrameRow = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
     assert_eq!(frame.actual.unwrap().denoised, Some(made_up_denoised()));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ladders_say_what_error_is_left_at_every_quality() {
+    let farm = Farm::new().await;
+    let clean = node(&farm, "clean", Some("Open Image Denoise 2.5.1")).await;
+    let mut request = request(&farm, "0-2");
+    request["ladders"] = json!("all");
+    request["settings"] = json!({"ambient_bounces": 1, "spp": 16, "width": 8, "height": 8});
+    let job: Job = farm.submitter.post("/v1/jobs", &request).await.parsed(StatusCode::CREATED).await;
+    farm.until_booked(&clean, &job).await;
+    let path = format!("/v1/jobs/{}/accuracy", job.id);
+    let document: AccuracyDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    let quote = farm.quote(&job).await;
+    let asked = document.rungs.iter().find(|rung| rung.asked_for).unwrap();
+    // Also on ladders that the job's own profile prices, and at other resolutions.
+    assert_eq!(document.rungs.iter().map(|rung| rung.ladder).collect::<BTreeSet<_>>().len(), 6);
+    for rung in &document.rungs {
+        let (denoised, asked) = (rung.denoised_error.unwrap().p50, asked.denoised_error.unwrap().p50);
+        let place = document.rungs.iter().filter(|other| other.ladder == rung.ladder);
+        let place = place.take_while(|other| other.settings != rung.settings).count() as u32 + 1;
+        let times = if rung.asked_for { 1.0 } else { made_up_times(rung.ladder, place) };
+        // As in the frame that was profiled with other settings. Its prices hold for all of the job's ladders.
+        assert!((denoised / asked / times - 1.0).abs() < 1e-9, "{rung:?}");
+        let price = rung.cpu_seconds.p50 / (times * quote.total.cpu_seconds.p50);
+        assert!((price - 1.0).abs() < 1e-9, "{rung:?}");
+    }
+    assert_eq!(asked.denoised_error.unwrap().p50, 0.01 * DENOISED_SHARE);
+    assert_ne!(asked.error.unwrap().p50, 0.01, "the job's own profiles know its noise better");
+    // Other qualities are offered by what is left.
+    let path = format!("/v1/jobs/{}/answers", job.id);
+    let answers: AnswersDoc = farm.viewer.get(&path).await.parsed(StatusCode::OK).await;
+    for offer in &answers.qualities {
+        let rung = document.rungs.iter().find(|rung| rung.settings == offer.settings).unwrap();
+        assert_eq!(offer.error, rung.denoised_error);
+    }
+    assert!(answers.qualities.len() > 5);
 }
 
 #[tokio::test]

@@ -16,6 +16,9 @@ use forelight_protocol::{
 /// CPU time of removing the noise of a made-up frame, nanoseconds.
 pub const DENOISING: u64 = 200_000_000_000;
 
+/// Share of a rung's error that is left, in ladders of jobs whose noise is removed.
+pub const DENOISED_SHARE: f64 = 0.375;
+
 impl Farm {
     /// The result of a task. Its artefacts are stored.
     pub async fn made_up_result(&self, lease: &Lease) -> TaskResult {
@@ -278,6 +281,12 @@ pub fn made_up_times(kind: LadderKind, place: u32) -> f64 {
     }
 }
 
+/// Of a rung with this error.
+fn made_up_denoised_error(error: f64) -> ImageError {
+    let error = DENOISED_SHARE * error;
+    ImageError { p05: error, p50: error, p80: error, p95: error }
+}
+
 fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
     let even = |value| Quantiles { mean: value, p50: value, p80: value, p95: value };
     let rungs = LadderKind::ALL.into_iter().flat_map(|kind| {
@@ -292,6 +301,7 @@ fn made_up_ladders(spec: &ProfileSpec) -> AccuracyDoc {
                 work: even(500.0 * times),
                 cpu_seconds: even(2.0 * times),
                 error: Some(ImageError { p05: error, p50: error, p80: error, p95: error }),
+                denoised_error: spec.denoise.then(|| made_up_denoised_error(error)),
                 worth_taking: false,
                 next: None,
                 measured: None,

@@ -1469,6 +1469,7 @@ export interface components {
             asked_for: boolean;
             /** @description CPU seconds over all threads, on a node of speed 1. */
             cpu_seconds: components["schemas"]["Quantiles"];
+            denoised_error?: components["schemas"]["ImageError"] | null;
             error?: components["schemas"]["ImageError"] | null;
             /** @description Its ladder. A quality on several ladders is listed once on each. */
             ladder: components["schemas"]["LadderKind"];
@@ -2544,7 +2545,7 @@ export interface components {
         DenoisedRung: {
             /**
              * Format: double
-             * @description CPU seconds of denoising, beside those of the image.
+             * @description CPU seconds of denoising and of measuring what is left, beside those of the image.
              */
             cpu_seconds: number;
             /**

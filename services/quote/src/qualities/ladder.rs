@@ -92,11 +92,11 @@ pub fn without_ladders(frame: u32, settings: &RenderSettings, reason: &str) -> A
     }
 }
 
-/// Median CPU seconds and median error of each rung. `None` for rungs without an error, and for other
-/// resolutions.
+/// Median CPU seconds and median error of each rung, as it is delivered. `None` for rungs without an error,
+/// and for other resolutions.
 pub fn points(document: &AccuracyDoc) -> Vec<Option<(f64, f64)>> {
     let point = |rung: &AccuracyRung| {
-        let error = rung.error.filter(|_| rung.ladder != LadderKind::Resolution)?;
+        let error = rung.delivered_error().filter(|_| rung.ladder != LadderKind::Resolution)?;
         Some((rung.cpu_seconds.p50, error.p50))
     };
     document.rungs.iter().map(point).collect()

@@ -58,6 +58,10 @@ impl<'a> OneFrame<'a> {
         })
     }
 
+    pub fn rung(&self, kind: LadderKind, settings: &RenderSettings) -> Option<AccuracyRung> {
+        self.rungs(kind).find(|rung| rung.settings == *settings)
+    }
+
     /// Error of a rung. Pixels of another resolution have the error of those asked for.
     pub fn error_like(&self, kind: LadderKind, settings: &RenderSettings) -> Option<ImageError> {
         let own = || self.of(kind).find(|rung| rung.settings == *settings);
@@ -159,6 +163,7 @@ mod tests {
                 work: price,
                 cpu_seconds: price,
                 error: Some(error(0.1)),
+                denoised_error: Some(error(0.04)),
                 worth_taking: false,
                 next: None,
                 measured: None,
@@ -171,6 +176,8 @@ mod tests {
             known.rungs(LadderKind::Divisions).partition(|rung| rung.asked_for);
         assert_eq!(asked.len(), 1);
         assert_eq!((asked[0].work, asked[0].cpu_seconds, asked[0].error), (job, job, Some(error(0.2))));
+        // What a denoiser leaves is measured in the frame alone, and does not follow from the noise.
+        assert_eq!(asked[0].denoised_error, Some(error(0.04)));
         for rung in others {
             let found = rung.error.unwrap();
             assert!(rung.work.p50 == job.p50 && rung.work.p95 > job.p95, "{:?}", rung.work);

@@ -306,6 +306,35 @@ impl OwnFrame<'_> {
         Ok(image.map(|image| Finished { image, cache: self.cache_use(taken_over) }))
     }
 
+    /// Colours of pixels with their first camera samples, for each of these numbers of samples, and the cost.
+    /// Uses the current thread pool. `None` if `stop` returned `true`.
+    pub(crate) fn trace_first(
+        &self,
+        pixels: &[u32],
+        numbers: &[u32],
+        stop: &(dyn Fn() -> bool + Sync),
+    ) -> Option<(Vec<Vec<[f32; 3]>>, Spent)> {
+        self.tracer.plan();
+        let batch = |pixels: &[u32]| {
+            let mut samples = vec![Vec::new(); pixels.len()];
+            let mut each = |place: usize, sample: [f32; 3]| samples[place].push(sample);
+            let traced = self.tracer.profile_samples(pixels, &mut each, stop)?;
+            Some(traced.into_iter().zip(samples).collect::<Vec<_>>())
+        };
+        let batches = pixels.par_chunks(BATCH).map(batch).collect::<Option<Vec<_>>>()?;
+        let traced = batches.concat();
+        let mean = |samples: &[[f32; 3]]| -> [f32; 3] {
+            let sum = |channel: usize| samples.iter().map(|sample| f64::from(sample[channel])).sum::<f64>();
+            std::array::from_fn(|channel| (sum(channel) / samples.len() as f64) as f32)
+        };
+        let first = |&number: &u32| {
+            traced.iter().map(|(_, samples)| mean(&samples[..number as usize])).collect::<Vec<_>>()
+        };
+        let spent = |(pixel, _): &(Pixel, _)| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
+        let all = traced.iter().map(spent).fold(Spent::default(), Spent::plus);
+        Some((numbers.iter().map(first).collect(), all))
+    }
+
     /// Traces pixels by index, in order, on the current thread pool. Returns them with their noise. Their
     /// colours are final once the irradiance cache, if there is one, is filled ([`OwnFrame::fill_for`]).
     pub fn trace(&self, pixels: &[u32]) -> Vec<(Pixel, PixelNoise)> {

@@ -43,7 +43,8 @@ mod shot;
 mod tasks;
 
 pub use accuracy::{
-    AccuracyObserver, AccuracyOptions, Blocks, ChosenCache, MeasureOptions, choose_cache, measure, predict,
+    AccuracyObserver, AccuracyOptions, Blocks, ChosenCache, DenoiseBy, MeasureOptions, choose_cache, measure,
+    predict,
 };
 pub use adaptive::allocation::{Aim, AllotOptions, render_allotted, render_as_allotted};
 pub use adaptive::made::{AllotError, Allotted};

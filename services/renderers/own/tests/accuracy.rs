@@ -30,7 +30,7 @@ fn of(document: &AccuracyDoc, kind: LadderKind) -> impl Iterator<Item = &forelig
 #[test]
 fn predicted_errors_and_work_are_those_of_the_rendered_image() {
     let (shot, observer, asked) = (kitchen(), Nobody::default(), tiny());
-    let options = AccuracyOptions { samples: 128, seed: 1 };
+    let options = AccuracyOptions { samples: 128, seed: 1, denoise: None };
     let mut document = predict(&shot, 0, &asked, &LadderKind::ALL, &options, &observer).unwrap();
     assert!(document.missing.is_empty() && !document.calibrated);
     // The expensive ends of the ladders show no more than their middles.
@@ -63,7 +63,7 @@ fn predicted_errors_and_work_are_those_of_the_rendered_image() {
 fn a_prediction_depends_on_its_seed_alone_but_for_times() {
     let asked = RenderSettings { width: 16, height: 9, spp: 1, cache: CacheMode::On, ..tiny() };
     let shot = kitchen();
-    let options = AccuracyOptions { samples: 32, seed: 5 };
+    let options = AccuracyOptions { samples: 32, seed: 5, denoise: None };
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let document = pool
@@ -80,7 +80,7 @@ fn a_prediction_depends_on_its_seed_alone_but_for_times() {
 #[test]
 fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
     let asked = RenderSettings { width: 16, height: 9, spp: 1, ambient_bounces: 3, ..tiny() };
-    let options = AccuracyOptions { samples: 64, seed: 5 };
+    let options = AccuracyOptions { samples: 64, seed: 5, denoise: None };
     let document = predict(&kitchen(), 0, &asked, &LadderKind::ALL, &options, &Nobody::default()).unwrap();
     let divisions: Vec<u32> =
         of(&document, LadderKind::Divisions).map(|rung| rung.settings.ambient_divisions).collect();
@@ -98,7 +98,7 @@ fn gathers_whose_rays_grow_beyond_measure_are_left_out_and_said_to_be() {
 #[test]
 fn of_ladders_that_nobody_wants_there_is_what_was_asked_for_alone() {
     let asked = RenderSettings { width: 16, height: 9, ..tiny() };
-    let options = AccuracyOptions { samples: 32, seed: 5 };
+    let options = AccuracyOptions { samples: 32, seed: 5, denoise: None };
     let nobody = Nobody::default();
     let all = predict(&kitchen(), 0, &asked, &LadderKind::ALL, &options, &nobody).unwrap();
     let some = predict(&kitchen(), 0, &asked, &[LadderKind::Divisions], &options, &nobody).unwrap();
@@ -117,7 +117,7 @@ fn of_ladders_that_nobody_wants_there_is_what_was_asked_for_alone() {
 #[test]
 fn whoever_does_not_want_to_wait_is_obeyed() {
     let observer = Nobody(AtomicBool::new(true));
-    let options = AccuracyOptions { samples: 16, seed: 0 };
+    let options = AccuracyOptions { samples: 16, seed: 0, denoise: None };
     let stopped = predict(&kitchen(), 0, &tiny(), &LadderKind::ALL, &options, &observer);
     assert!(matches!(stopped, Err(ShotError::Cancelled)));
 }

@@ -11,7 +11,9 @@ use crate::job_options::svg_file;
 use anyhow::{Context, Result};
 use forelight_denoise::Denoiser;
 use forelight_protocol::{AccuracyDoc, LadderKind};
-use forelight_renderer_own::{AccuracyOptions, MeasureOptions, measure, predict};
+use forelight_renderer_own::{
+    AccuracyObserver as _, AccuracyOptions, DenoiseBy, MeasureOptions, measure, predict,
+};
 use forelight_terminal::atomic_file::{self, write_bytes};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::interrupt::Interrupt;
@@ -28,7 +30,7 @@ Examples:
   forelight accuracy kitchen/ --frame 12 --out accuracy.svg
   forelight accuracy kitchen/ --width 1920 --spp 64 --json > accuracy.json
   forelight accuracy kitchen/ --width 160 --measure --out accuracy.svg
-  forelight accuracy kitchen/ --width 320 --spp 4 --measure --denoise
+  forelight accuracy kitchen/ --width 320 --spp 4 --denoise
   forelight accuracy --job 0197a8a5-0000-7000-8000-000000000000 --out accuracy.svg
 
 A ladder is a row of qualities that differ in one setting. The ladders around the requested quality are: camera \
@@ -36,7 +38,8 @@ samples (for both integrators, and with a cache), accuracy of the cache, rays of
 Profiles of --samples pixels at each kind of setting give the CPU time and the error of every rung. The error is the \
 root mean square over pixels and channels against the converged image, as a share of its mean.
 
-Rungs marked * are worth taking: no other rung is both cheaper and better. --measure also renders every rung, and \
+Rungs marked * are worth taking: no other rung is both cheaper and better. With --denoise, that is judged by what is \
+left of the error, and all times include denoising. --measure also renders every rung, and \
 compares it with converged images. This takes far longer than the forecast.
 
 --job shows the quote of a job on the farm: the cost of all its frames at every rung. It has all ladders if the job \
@@ -45,7 +48,7 @@ pub struct Args {
     /// Scene: a .glb or .gltf file, or a bundle, which is a folder or a zip file
     bundle: Option<PathBuf>,
     /// Show the ladders in the quote of this job on the farm, by its id or name, instead of a bundle's
-    #[arg(long, value_name = "JOB", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "QualityOptions", "MachineOptions"])]
+    #[arg(long, value_name = "JOB", conflicts_with_all = ["bundle", "frame", "samples", "phase_seed", "measure", "denoise", "QualityOptions", "MachineOptions"])]
     job: Option<String>,
     /// Frame number
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -59,9 +62,9 @@ pub struct Args {
     /// Also render every rung, and show its true time and error beside the forecast
     #[arg(long)]
     measure: bool,
-    /// Also remove the noise of every rung by Open Image Denoise, if it is installed, and show the error that
-    /// is left. Needs --measure
-    #[arg(long, requires = "measure")]
+    /// Also forecast the error that is left once Open Image Denoise, if it is installed, has removed the
+    /// noise. With --measure, every rung is denoised, too
+    #[arg(long)]
     denoise: bool,
     /// Camera samples per pixel of the converged images, which are made in two halves. Needs --measure
     #[arg(long, value_name = "SAMPLES", default_value_t = 512, requires = "measure", value_parser = clap::value_parser!(u32).range(2..=131_072))]
@@ -103,10 +106,15 @@ fn of_bundle(args: &Args, bundle: &Path, interrupt: &Interrupt) -> Result<()> {
     let local = Local::open(bundle, &args.machine, &bars)?;
     let settings = local.settings(&args.quality)?;
     local.check_frame("--frame", args.frame)?;
-    let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed };
     let watcher = AccuracyWatcher::new(&bars, "profiling", interrupt);
-    let predict = || predict(&local.shot, args.frame, &settings, &LadderKind::ALL, &options, &watcher);
-    let predicted = local.pool.install(predict);
+    let predicted = |denoise: Option<DenoiseBy<'_>>| {
+        let options = AccuracyOptions { samples: args.samples, seed: args.phase_seed, denoise };
+        predict(&local.shot, args.frame, &settings, &LadderKind::ALL, &options, &watcher)
+    };
+    let predicted = local.pool.install(|| match &denoiser {
+        None => predicted(None),
+        Some(denoiser) => DenoiseBy::here(denoiser, watcher.cancel(), |by| predicted(Some(by))),
+    });
     let mut document = watcher.done(predicted, bundle)?;
     if args.measure {
         let options = MeasureOptions { reference_spp: args.reference_spp, denoiser: denoiser.as_ref() };

@@ -82,13 +82,13 @@ fn marks(document: &AccuracyDoc) -> Vec<Mark<'_>> {
     let points = points(document);
     let placed = document.rungs.iter().enumerate().filter_map(|(index, rung)| {
         let (cost, error) = points[index].filter(|&(cost, error)| cost > 0.0 && error > 0.0)?;
-        Some(Mark { index, rung, at: (cost.log10(), error.log10()), error: rung.error? })
+        Some(Mark { index, rung, at: (cost.log10(), error.log10()), error: rung.delivered_error()? })
     });
     placed.collect()
 }
 
 fn bounds(marks: &[Mark<'_>]) -> (std::ops::Range<f64>, std::ops::Range<f64>) {
-    let truth = |mark: &Mark<'_>| mark.rung.measured.map(|m| (m.cpu_seconds, m.error));
+    let truth = |mark: &Mark<'_>| mark.rung.measured.map(|measured| measured.delivered());
     let costs = marks.iter().flat_map(|mark| {
         let cpu = mark.rung.cpu_seconds;
         [Some(cpu.p50), Some(cpu.p95), truth(mark).map(|truth| truth.0)]
@@ -263,8 +263,8 @@ fn measured(chart: &mut Chart<'_, '_>, marks: &[Mark<'_>]) -> Drawn {
     let truths: Vec<((f64, f64), (f64, f64))> = marks
         .iter()
         .filter_map(|mark| {
-            let truth = mark.rung.measured.filter(|truth| truth.error > 0.0 && truth.cpu_seconds > 0.0)?;
-            Some((mark.at, (truth.cpu_seconds.log10(), truth.error.log10())))
+            let (cpu_seconds, error) = mark.rung.measured?.delivered();
+            (error > 0.0 && cpu_seconds > 0.0).then(|| (mark.at, (cpu_seconds.log10(), error.log10())))
         })
         .collect();
     if truths.is_empty() {

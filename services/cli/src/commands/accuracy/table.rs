@@ -2,7 +2,9 @@
 
 use super::{thousandths, value};
 use forelight_protocol::words::counted;
-use forelight_protocol::{AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, RenderSettings};
+use forelight_protocol::{
+    AccuracyDoc, AccuracyRung, CacheMode, ImageError, Integrator, LadderKind, RenderSettings,
+};
 use forelight_terminal::quantities::{count, percent, seconds};
 use forelight_terminal::table::{Align, Table};
 
@@ -49,6 +51,10 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
         ("error P50", Align::Right),
         ("5 % to 95 %", Align::Right),
     ];
+    let denoised = rungs.iter().any(|&rung| document.rungs[rung].denoised_error.is_some());
+    if denoised {
+        head.extend([("denoised P50", Align::Right), ("5 % to 95 %", Align::Right)]);
+    }
     if measured {
         head.extend([
             ("true work", Align::Right),
@@ -57,9 +63,13 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
             ("off by", Align::Right),
         ]);
     }
-    let denoised = rungs.iter().any(|&rung| denoising(&document.rungs[rung]).is_some());
-    if denoised {
-        head.extend([("denoising", Align::Right), ("error then", Align::Right)]);
+    let denoising = rungs.iter().any(|&rung| truth_denoised(&document.rungs[rung]).is_some());
+    if denoising {
+        head.extend([
+            ("of which denoising", Align::Right),
+            ("true error denoised", Align::Right),
+            ("off by", Align::Right),
+        ]);
     }
     head.push(("next", Align::Left));
     let mut table = Table::new(&head);
@@ -72,14 +82,16 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
             seconds(rung.cpu_seconds.p50),
             seconds(rung.cpu_seconds.p80),
             seconds(rung.cpu_seconds.p95),
-            rung.error.map_or("-".into(), |error| share(error.p50)),
-            rung.error.map_or(String::new(), |e| format!("{} to {}", share(e.p05), share(e.p95))),
         ];
+        cells.extend(forecast(rung.error));
+        if denoised {
+            cells.extend(forecast(rung.denoised_error));
+        }
         if measured {
             cells.extend(truth(rung));
         }
-        if denoised {
-            cells.extend(denoising(rung).unwrap_or_default());
+        if denoising {
+            cells.extend(truth_denoised(rung).unwrap_or_default());
         }
         cells.push(next(document, rung));
         table.row(cells);
@@ -87,23 +99,38 @@ fn ladder(document: &AccuracyDoc, rungs: &[usize]) -> String {
     table.render()
 }
 
+/// A forecast error with its interval.
+fn forecast(error: Option<ImageError>) -> [String; 2] {
+    match error {
+        Some(error) => [share(error.p50), format!("{} to {}", share(error.p05), share(error.p95))],
+        None => ["-".to_owned(), String::new()],
+    }
+}
+
 fn truth(rung: &AccuracyRung) -> [String; 4] {
     let Some(measured) = rung.measured else { return Default::default() };
-    let shows = measured.error > measured.error_deviation;
-    let off = rung.error.filter(|_| shows).map(|error| error.p50 / measured.error - 1.0);
     [
         count(measured.work as f64),
         seconds(measured.cpu_seconds),
         error_or_bound(measured.error, measured.error_deviation),
-        off.map_or("-".into(), percent),
+        off_by(rung.error, measured.error, measured.error_deviation),
     ]
 }
 
-/// CPU time of removing the noise, and the error that is left.
-fn denoising(rung: &AccuracyRung) -> Option<[String; 2]> {
+/// CPU time of removing the noise, the error that is left, and how far off its forecast was.
+fn truth_denoised(rung: &AccuracyRung) -> Option<[String; 3]> {
     let denoised = rung.measured?.denoised?;
-    let error = error_or_bound(denoised.error, denoised.error_deviation);
-    Some([format!("+{}", seconds(denoised.cpu_seconds)), error])
+    Some([
+        seconds(denoised.cpu_seconds),
+        error_or_bound(denoised.error, denoised.error_deviation),
+        off_by(rung.denoised_error, denoised.error, denoised.error_deviation),
+    ])
+}
+
+/// How far a forecast is off, if the true error shows.
+fn off_by(forecast: Option<ImageError>, truth: f64, deviation: f64) -> String {
+    let off = forecast.filter(|_| truth > deviation).map(|error| error.p50 / truth - 1.0);
+    off.map_or("-".into(), percent)
 }
 
 /// An error, or what it is below if the converged image has too few samples to show it.

@@ -123,7 +123,8 @@ pub struct Args {
     profile_frames: Option<u32>,
     /// Quote all ladders of qualities; `forelight accuracy --job` shows them. One frame is profiled with
     /// other settings too, which costs about 500,000 camera samples: a few percent of a large frame, several
-    /// times a small one [default: the ladders that the job's own profile covers]
+    /// times a small one. With --denoise, the ladders show what is left of the error, for up to 2.5 million
+    /// more [default: the ladders that the job's own profile covers]
     #[arg(long, conflicts_with = "limit")]
     ladders: bool,
     /// Share one irradiance cache between frames. Needs --cache on or --cache-error

@@ -48,7 +48,8 @@ export function Ladders(props: { job: Job; version: string; answers: AnswersDoc 
     <>
       <p class="note">
         Time is CPU time of {doc.frames === 1 ? "one frame" : "all frames"} on a node of speed 1. The error is
-        the root mean square against the converged image, as a share of its mean.{" "}
+        the root mean square against the converged image, as a share of its mean
+        {isDenoised(doc.rungs) && ", before and after denoising; time includes denoising"}.{" "}
         {doc.calibrated
           ? "Quantiles are calibrated on past jobs."
           : "Quantiles rest on sampling alone; they are not calibrated yet."}
@@ -89,8 +90,13 @@ interface Rungs {
   choose: (rung: AccuracyRung) => void;
 }
 
+function isDenoised(rungs: AccuracyRung[]): boolean {
+  return rungs.some((rung) => rung.denoised_error);
+}
+
 function Ladder(props: Rungs) {
   const most = Math.max(...props.rungs.map((rung) => rung.cpu_seconds.p95));
+  const denoised = isDenoised(props.rungs);
   return (
     <div class="scroll-x" tabIndex={0} role="region" aria-label={`Rungs: ${NAMES[props.rungs[0]!.ladder]}`}>
       <table class="numbers body">
@@ -105,6 +111,14 @@ function Ladder(props: Rungs) {
               Error
             </th>
             <th scope="col">5 % to 95 %</th>
+            {denoised && (
+              <>
+                <th scope="col" class="right">
+                  Denoised
+                </th>
+                <th scope="col">5 % to 95 %</th>
+              </>
+            )}
             <th scope="col" class="right">
               Cost
             </th>
@@ -121,7 +135,7 @@ function Ladder(props: Rungs) {
         </thead>
         <tbody>
           {props.rungs.map((rung, at) => (
-            <Rung key={at} {...props} rung={rung} most={most} />
+            <Rung key={at} {...props} rung={rung} most={most} denoised={denoised} />
           ))}
         </tbody>
       </table>
@@ -130,7 +144,7 @@ function Ladder(props: Rungs) {
 }
 
 /** `most`: the P95 of the dearest rung, seconds. */
-function Rung(props: Omit<Rungs, "rungs"> & { rung: AccuracyRung; most: number }) {
+function Rung(props: Omit<Rungs, "rungs"> & { rung: AccuracyRung; most: number; denoised: boolean }) {
   const { rung, most } = props;
   const offer = offerOf(rung, props.answers);
   return (
@@ -151,8 +165,8 @@ function Rung(props: Omit<Rungs, "rungs"> & { rung: AccuracyRung; most: number }
         </span>{" "}
         {cpuTime(rung.cpu_seconds.p95)}
       </td>
-      <td class="right">{rung.error ? percent(rung.error.p50, 1) : "–"}</td>
-      <td>{rung.error ? `${percent(rung.error.p05, 1)} to ${percent(rung.error.p95, 1)}` : "–"}</td>
+      <ErrorCells of={rung.error} />
+      {props.denoised && <ErrorCells of={rung.denoised_error} />}
       <td class="right">
         <Money of={offer?.cost} />
       </td>
@@ -177,6 +191,16 @@ function Rung(props: Omit<Rungs, "rungs"> & { rung: AccuracyRung; most: number }
         )}
       </td>
     </tr>
+  );
+}
+
+function ErrorCells(props: { of: AccuracyRung["error"] }) {
+  const error = props.of;
+  return (
+    <>
+      <td class="right">{error ? percent(error.p50, 1) : "–"}</td>
+      <td>{error ? `${percent(error.p05, 1)} to ${percent(error.p95, 1)}` : "–"}</td>
+    </>
   );
 }
 

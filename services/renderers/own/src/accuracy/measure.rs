@@ -6,7 +6,7 @@
 use crate::accuracy::observer::AccuracyObserver;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
-use crate::render::denoised::{remove_noise, traced_colors, with_folder};
+use crate::render::denoised::{denoise, traced_colors, with_folder};
 use crate::render::{Rendered, render_ready};
 use crate::shot::OwnShot;
 use forelight_denoise::Denoiser;
@@ -93,7 +93,7 @@ fn truth(settings: &RenderSettings, asked: &RenderSettings, options: &MeasureOpt
     }
 }
 
-fn rendered(
+pub(super) fn rendered(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
     observer: &dyn AccuracyObserver,
@@ -110,21 +110,18 @@ fn measured(
     observer: &dyn AccuracyObserver,
 ) -> Result<MeasuredRung, ShotError> {
     let ready = shot.frame(frame, settings)?;
-    let Rendered { mut image, stats, .. } = rendered(&ready, settings, observer)?;
-    let (error, error_deviation) = converged.error(&image);
-    let denoised = match options.denoiser {
-        None => None,
-        Some(denoiser) => {
-            let remove = |run: &Run<'_>| remove_noise(&ready, &mut image, denoiser, run);
-            let cost = with_folder(observer.cancel(), remove)?;
-            let cpu_seconds = cost.map(|cost| cost.denoiser + cost.features).ok_or(ShotError::Cancelled)?;
-            image.denoised.map(|denoised| {
-                let (error, error_deviation) = converged.error_of(&denoised.colors);
-                DenoisedRung { cpu_seconds, error, error_deviation }
-            })
-        }
-    };
-    Ok(MeasuredRung { work: stats.work, cpu_seconds: stats.cpu_seconds, error, error_deviation, denoised })
+    let mut rendered = rendered(&ready, settings, observer)?;
+    let (error, error_deviation) = converged.error(&rendered.image);
+    let (work, cpu_seconds) = (rendered.stats.work, rendered.stats.cpu_seconds);
+    if let Some(denoiser) = options.denoiser {
+        let remove = |run: &Run<'_>| denoise(&ready, &mut rendered, denoiser, run, &|_| ());
+        with_folder(observer.cancel(), remove)?.ok_or(ShotError::Cancelled)?;
+    }
+    let denoised = rendered.image.denoised.as_ref().map(|denoised| {
+        let (error, error_deviation) = converged.error_of(&denoised.colors);
+        DenoisedRung { cpu_seconds: rendered.stats.cpu_seconds - cpu_seconds, error, error_deviation }
+    });
+    Ok(MeasuredRung { work, cpu_seconds, error, error_deviation, denoised })
 }
 
 impl Converged {

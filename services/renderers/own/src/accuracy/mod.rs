@@ -6,6 +6,7 @@
 //! | `gathers` | how other gathers change the error of the same pixels |
 //! | `interpolation` | the error that an irradiance cache adds |
 //! | `cache_error`, `blocks` | settings of a cache for an error; images in blocks of pixels |
+//! | `denoising`, `tiles` | the error that a denoiser leaves; the tiles in which it is tried out |
 //! | `measure` | measured errors: rungs rendered and compared to converged images |
 //!
 //! Every kind of setting (an integrator, a number of divisions, an accuracy of the cache) is profiled once,
@@ -16,14 +17,17 @@
 
 mod blocks;
 mod cache_error;
+mod denoising;
 mod gathers;
 mod interpolation;
 mod measure;
 mod observer;
 mod pilot;
+mod tiles;
 
 pub use blocks::Blocks;
 pub use cache_error::{ChosenCache, choose_cache};
+pub use denoising::DenoiseBy;
 #[cfg(test)]
 pub(crate) use measure::Converged;
 #[cfg(test)]
@@ -37,15 +41,17 @@ use crate::costs::seconds;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
+use denoising::Left;
 use forelight_forecast::Calibration;
 use forelight_protocol::{
-    AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, RenderSettings,
-    Spent, SpentOnForecast,
+    AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, Quantiles,
+    RenderSettings, Spent, SpentOnForecast,
 };
 use forelight_quote::{ladder, mark};
 use gathers::{affordable, is_too_dear, relate};
 use interpolation::Truth;
 use pilot::View;
+use tiles::Tiles;
 
 /// Camera samples of a profiled pixel: enough for four doublings.
 const PILOT_SPP: u32 = 16;
@@ -68,7 +74,7 @@ pub fn predict(
     frame: u32,
     asked: &RenderSettings,
     ladders: &[LadderKind],
-    options: &AccuracyOptions,
+    options: &AccuracyOptions<'_>,
     observer: &dyn AccuracyObserver,
 ) -> Result<AccuracyDoc, ShotError> {
     let mut missing = Vec::new();
@@ -95,10 +101,13 @@ struct Prediction<'a> {
     shot: &'a OwnShot,
     frame: u32,
     asked: &'a RenderSettings,
-    options: &'a AccuracyOptions,
+    options: &'a AccuracyOptions<'a>,
     observer: &'a dyn AccuracyObserver,
     pilots: Vec<Pilot>,
     truth: Option<Truth>,
+    tiles: Option<Tiles>,
+    /// What a denoiser leaves, for an integrator with or without a cache.
+    left: Vec<((Integrator, CacheMode), Left)>,
     rungs: Vec<AccuracyRung>,
     missing: Vec<MissingLadder>,
     /// Cost beside the pilots.
@@ -112,7 +121,7 @@ impl<'a> Prediction<'a> {
         shot: &'a OwnShot,
         frame: u32,
         asked: &'a RenderSettings,
-        options: &'a AccuracyOptions,
+        options: &'a AccuracyOptions<'a>,
         observer: &'a dyn AccuracyObserver,
     ) -> Self {
         Self {
@@ -123,6 +132,8 @@ impl<'a> Prediction<'a> {
             observer,
             pilots: Vec::new(),
             truth: None,
+            tiles: None,
+            left: Vec::new(),
             rungs: Vec::new(),
             missing: Vec::new(),
             spent: Spent::default(),
@@ -163,8 +174,15 @@ impl<'a> Prediction<'a> {
                 LadderKind::Resolution => self.view(settings, pilot)?,
                 _ => self.pilots[pilot].view.clone(),
             };
+            let left = self.options.denoise.map(|by| self.left(pilot, by)).transpose()?;
             let pilot = &self.pilots[pilot];
-            let (work, cpu_seconds) = pilot.cost(&view, settings.spp)?;
+            let (work, mut cpu_seconds) = pilot.cost(&view, settings.spp)?;
+            let mut denoised_error = None;
+            if let Some(left) = left.map(|left| &self.left[left].1) {
+                denoised_error = Some(left.error(pilot.noisy(&view, settings.spp)?));
+                let more = left.cpu_seconds(settings, pilot.traced_seconds(&view, settings.spp)?);
+                cpu_seconds = cpu_seconds.plus(&Quantiles::known(more));
+            }
             self.rungs.push(AccuracyRung {
                 ladder: kind,
                 settings: settings.clone(),
@@ -172,6 +190,7 @@ impl<'a> Prediction<'a> {
                 work,
                 cpu_seconds,
                 error: Some(pilot.error(&view, settings.spp)?),
+                denoised_error,
                 worth_taking: false,
                 next: None,
                 measured: None,
@@ -218,6 +237,32 @@ impl<'a> Prediction<'a> {
         }
         self.pilots.push(pilot);
         Ok(self.pilots.len() - 1)
+    }
+
+    /// What a denoiser leaves of the noise of settings like a pilot's: the place in [`Self::left`].
+    fn left(&mut self, pilot: usize, by: DenoiseBy<'_>) -> Result<usize, ShotError> {
+        let pilot = &self.pilots[pilot];
+        let kind = (pilot.settings.integrator, pilot.settings.cache);
+        if let Some(known) = self.left.iter().position(|(known, _)| *known == kind) {
+            return Ok(known);
+        }
+        let tiles = match self.tiles.take() {
+            Some(tiles) => tiles,
+            None => {
+                let (shot, seed) = (self.shot, self.options.seed);
+                let (tiles, spent) =
+                    denoising::choose(shot, self.frame, self.asked, seed, by, self.observer)?;
+                self.spent = self.spent.plus(spent);
+                tiles
+            }
+        };
+        let ready = self.shot.frame(self.frame, &pilot.settings)?;
+        let noise = |spp: u32| Ok(pilot.noisy(&pilot.view, spp)?.noise.p50);
+        let (left, spent) = Left::measure(&ready, &tiles, pilot.mean()?, noise, by, self.observer)?;
+        self.spent = self.spent.plus(ready.spent_on_setup()).plus(ready.fixed().plan).plus(spent);
+        self.tiles = Some(tiles);
+        self.left.push((kind, left));
+        Ok(self.left.len() - 1)
     }
 
     /// The pilot's settings for gathers as they were asked for, without a cache.

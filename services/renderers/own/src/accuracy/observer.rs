@@ -1,5 +1,6 @@
 //! Options of a prediction; its progress, and how it is cancelled.
 
+use super::denoising::DenoiseBy;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use forelight_forecast::accuracy::PixelNoise;
@@ -7,12 +8,14 @@ use forelight_tracer::Pixel;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How accuracy is predicted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct AccuracyOptions {
+#[derive(Clone, Copy)]
+pub struct AccuracyOptions<'a> {
     /// Pixels to profile for every kind of setting.
     pub samples: u32,
     /// Seed of the choice of pixels.
     pub seed: u64,
+    /// Also predicts the error once the noise was removed.
+    pub denoise: Option<DenoiseBy<'a>>,
 }
 
 /// Receives progress, and can cancel.

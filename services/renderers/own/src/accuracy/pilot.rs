@@ -1,5 +1,6 @@
 //! A pilot: profiled pixels of one kind of setting.
 
+use crate::accuracy::denoising::Noisy;
 use crate::accuracy::observer::{AccuracyObserver, AccuracyOptions, is_cancelled};
 use crate::answers::Previewed;
 use crate::costs::cost_of_record;
@@ -11,7 +12,7 @@ use crate::profile::{self, Observer, profile_ready};
 use crate::quote_options::QuoteOptions;
 use crate::results::uncovered_gathers;
 use crate::shot::OwnShot;
-use forelight_forecast::accuracy::ImageNoise;
+use forelight_forecast::accuracy::{ImageNoise, MeanSquare};
 use forelight_forecast::{
     Calibration, Cost, Expansion, ForecastError, FramePopulation, Observation, ProfiledFrame, RecordStrata,
     Stratum, forecast_shot,
@@ -82,7 +83,7 @@ impl Pilot {
         shot: &OwnShot,
         ready: &OwnFrame<'_>,
         settings: RenderSettings,
-        options: &AccuracyOptions,
+        options: &AccuracyOptions<'_>,
         observer: &dyn AccuracyObserver,
     ) -> Result<Self, ShotError> {
         let strata = &shot.info().strata;
@@ -136,18 +137,53 @@ impl Pilot {
 
     /// Error of a frame with `spp` camera samples per pixel and the counts of `view`.
     pub fn error(&self, view: &View, spp: u32) -> Result<ImageError, ShotError> {
-        let image = |noise: &FrameNoise| -> Result<ImageNoise, ForecastError> {
-            ImageNoise::new(noise.cells(&self.noise_strata, &view.noise_counts)?)
+        let noise = self.image(&self.noise, view)?.noise_at(spp);
+        let square = match &self.interpolation {
+            Some(interpolation) => noise.plus(self.image(interpolation, view)?.bias_square()),
+            None => noise,
         };
-        let mut square = image(&self.noise)?.noise_at(spp);
-        if let Some(interpolation) = &self.interpolation {
-            square = square.plus(image(interpolation)?.bias_square());
-        }
         Ok(image_error(square.error(Calibration::NONE)))
+    }
+
+    /// The same in two parts.
+    pub fn noisy(&self, view: &View, spp: u32) -> Result<Noisy, ShotError> {
+        let error = |square: MeanSquare| image_error(square.error(Calibration::NONE));
+        let noise = error(self.image(&self.noise, view)?.noise_at(spp));
+        let of_cache = match &self.interpolation {
+            Some(interpolation) => error(self.image(interpolation, view)?.bias_square()),
+            None => ImageError::default(),
+        };
+        Ok(Noisy { noise, of_cache })
+    }
+
+    /// Mean of the image.
+    pub fn mean(&self) -> Result<f64, ShotError> {
+        Ok(self.image(&self.noise, &self.view)?.mean())
+    }
+
+    fn image(&self, noise: &FrameNoise, view: &View) -> Result<ImageNoise, ForecastError> {
+        ImageNoise::new(noise.cells(&self.noise_strata, &view.noise_counts)?)
     }
 
     /// Work and CPU seconds of a frame with `spp` camera samples per pixel and the counts of `view`.
     pub fn cost(&self, view: &View, spp: u32) -> Result<(Quantiles, Quantiles), ShotError> {
+        self.cost_with(view, spp, &view.cache_records, view.fixed)
+    }
+
+    /// Median CPU seconds of tracing the pixels of such a frame.
+    pub fn traced_seconds(&self, view: &View, spp: u32) -> Result<f64, ShotError> {
+        let (_, cpu_seconds) = self.cost_with(view, spp, &[], FixedCosts::default())?;
+        Ok(cpu_seconds.p50)
+    }
+
+    /// The cost with so many records, and these fixed costs.
+    fn cost_with(
+        &self,
+        view: &View,
+        spp: u32,
+        records: &[u32],
+        fixed: FixedCosts,
+    ) -> Result<(Quantiles, Quantiles), ShotError> {
         let had = self.settings.spp;
         let factor = f64::from(spp) / f64::from(had);
         let growth = uncovered_gathers(&self.settings).map_or(1.0, |gathers| gathers.growth(had, spp));
@@ -160,7 +196,7 @@ impl Pilot {
         // A smaller image may have fewer pixels of a stratum than were profiled: forecast copies of it.
         let copies = copies(&view.counts, &observations);
         let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
-        let records = of_copies(&view.cache_records);
+        let records = of_copies(records);
         let counts = of_copies(&view.counts);
         let mut frame = [FramePopulation { number: 0, counts, lights: 0, shining: 0, triangles: 0 }];
         let prior_cost = record_prior_cost(&self.settings).unwrap_or(1.0);
@@ -174,12 +210,12 @@ impl Pilot {
                 observations.push(apart.observation(record.level, cost_of_record(record)));
             }
         }
-        let Spent { work, cpu_nanos } = view.fixed.total();
+        let Spent { work, cpu_nanos } = fixed.total();
         let times = u64::from(copies);
         let fixed = Cost {
             work: work * times,
             cpu_nanos: cpu_nanos * times,
-            rays: view.fixed.plan_rays.map(|rays| rays * times),
+            rays: fixed.plan_rays.map(|rays| rays * times),
         };
         let expansion = &Expansion::Groups;
         let profiled = [ProfiledFrame {
@@ -240,7 +276,7 @@ mod tests {
         let request = RenderSettingsRequest { spp: Some(4), ..RenderSettingsRequest::default() };
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
-        let options = AccuracyOptions { samples: 256, seed: 2 };
+        let options = AccuracyOptions { samples: 256, seed: 2, denoise: None };
         let pilot = Pilot::new(&shot, &ready, settings.clone(), &options, &nobody).unwrap();
         for (width, height) in [(16, 9), (8, 5)] {
             let settings = RenderSettings { width, height, ..settings.clone() };
@@ -259,7 +295,7 @@ mod tests {
     #[test]
     fn views_of_a_few_pixels_have_a_price_whatever_was_profiled() {
         let (shot, nobody) = (kitchen(), Nobody::default());
-        let options = AccuracyOptions { samples: 16, seed: 2 };
+        let options = AccuracyOptions { samples: 16, seed: 2, denoise: None };
         let sizes = [(1, 1), (2, 2), (3, 1), (5, 3)].map(|(width, height)| RenderSettings {
             width,
             height,
@@ -300,7 +336,7 @@ mod tests {
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
         // All pixels: what remains is the error of few records and of later samples.
-        let options = AccuracyOptions { samples: 32 * 18, seed: 2 };
+        let options = AccuracyOptions { samples: 32 * 18, seed: 2, denoise: None };
         let pilot = Pilot::new(&shot, &ready, settings.clone(), &options, &nobody).unwrap();
         assert!(pilot.extra_work.iter().sum::<u64>() > 0);
         for spp in [1, 4, 16, 128] {

@@ -80,7 +80,7 @@ pub fn render_allotted(
     if !ready.fill(progress, observer.cancel()) {
         return Ok(None);
     }
-    let picked = AccuracyOptions { samples: options.samples, seed: options.seed };
+    let picked = AccuracyOptions { samples: options.samples, seed: options.seed, denoise: None };
     let pilot = match Pilot::new(shot, &ready, settings.clone(), &picked, observer) {
         Err(ShotError::Cancelled) => return Ok(None),
         pilot => pilot?,

@@ -107,7 +107,7 @@ pub(crate) fn remove_noise(
 }
 
 /// Camera samples of each pixel's features in an image of `spp`.
-fn feature_samples(spp: u32) -> u32 {
+pub(crate) fn feature_samples(spp: u32) -> u32 {
     spp.min(MOST_FEATURE_SAMPLES)
 }
 
@@ -119,7 +119,7 @@ fn measuring(pixels: usize, spp: u32) -> (u32, u32) {
 }
 
 /// Camera samples by which an image is measured, as a share of its own.
-fn share_of_measuring(pixels: usize, spp: u32) -> f64 {
+pub(crate) fn share_of_measuring(pixels: usize, spp: u32) -> f64 {
     let (measured, of_mean) = measuring(pixels, spp);
     f64::from(measured).min(pixels as f64) * f64::from(MEANS * of_mean) / (pixels as f64 * f64::from(spp))
 }
@@ -236,7 +236,7 @@ fn squares(colors: &[[f32; 3]], places: &[Place], measured: &[Vec<Pixel>]) -> Ve
 
 /// Squared difference of a colour from the truth, mean over the channels, by independent means of the pixel.
 /// The mean of M means has 1 / (M (M − 1)) of the sum of their squared deviations as its variance.
-fn square(color: [f32; 3], means: &[Pixel]) -> f64 {
+pub(crate) fn square(color: [f32; 3], means: &[Pixel]) -> f64 {
     let count = means.len() as f64;
     let of_channel = |c: usize| {
         let values = || means.iter().map(|pixel| f64::from(pixel.color[c]));

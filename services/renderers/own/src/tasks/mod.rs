@@ -15,7 +15,7 @@ mod whole;
 use self::given::own;
 use self::progress::{Reporting, fraction};
 use self::render::render;
-use crate::accuracy::{AccuracyOptions, Pilot, predict};
+use crate::accuracy::{AccuracyOptions, DenoiseBy, Pilot, predict};
 use crate::adaptive::allotment::Allotment;
 use crate::adaptive::error_target::ErrorAim;
 use crate::answers::Progress;
@@ -35,7 +35,7 @@ use forelight_protocol::{
 };
 use forelight_quote::{is_own, without_ladders};
 use forelight_renderer::process::Sandbox;
-use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome};
+use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Files, OpenShots, Outcome, with_run};
 use std::cell::Cell;
 use std::sync::Arc;
 
@@ -174,7 +174,7 @@ fn profile(
             .add_to(&mut result);
     }
     if spec.ladders {
-        let ladders = ladders(shot, spec, !result.noise.is_empty(), control)?;
+        let ladders = ladders(shot, spec, (!result.noise.is_empty(), denoising), assignment, control)?;
         let SpentOnForecast { work, cpu_seconds, .. } = ladders.spent;
         result.spent = result.spent.plus(Spent { work, cpu_nanos: (cpu_seconds * 1e9).round() as u64 });
         result.ladders = Some(Box::new(ladders));
@@ -201,16 +201,30 @@ const WITHOUT_LADDERS: f64 = 0.2;
 fn ladders(
     shot: &OwnShot,
     spec: &ProfileSpec,
-    knows_error: bool,
+    (knows_error, denoising): (bool, Option<&Denoising>),
+    assignment: &Assignment,
     control: &Control,
 ) -> Result<AccuracyDoc, ExecuteError> {
     // At resolutions that the profile can price, the error is that of the settings asked for.
     let settings = own(&spec.settings)?;
     let told = |kind: LadderKind| is_own(kind, settings) && (knows_error || kind == LadderKind::Resolution);
-    let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(|kind| !told(*kind)).collect();
-    let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed };
+    // What a denoiser leaves follows from no profile.
+    let is_wanted = |kind: &LadderKind| denoising.is_some() || !told(*kind);
+    let wanted: Vec<LadderKind> = LadderKind::ALL.into_iter().filter(is_wanted).collect();
     let reporting = Reporting { control, from: WITHOUT_LADDERS, to: 1.0 };
-    match predict(shot, spec.frame, settings, &wanted, &options, &reporting) {
+    let predicted = |denoise: Option<DenoiseBy<'_>>| {
+        let options = AccuracyOptions { samples: spec.samples, seed: spec.phase_seed, denoise };
+        predict(shot, spec.frame, settings, &wanted, &options, &reporting)
+    };
+    let predicted = match denoising {
+        None => predicted(None),
+        Some(&Denoising { ref denoiser, nanos_per_pixel, ref sandbox }) => {
+            with_run(assignment, control, sandbox.as_deref(), |run| {
+                Ok(predicted(Some(DenoiseBy { denoiser, nanos_per_pixel, run })))
+            })?
+        }
+    };
+    match predicted {
         Ok(ladders) => {
             control.log(LogLevel::Info, format!("predicted ladders of {} qualities", ladders.rungs.len()));
             Ok(ladders)

@@ -223,6 +223,13 @@ fn ladders(
             }
         }
         rung.error.map_or(Ok(()), |error| image_error(&format!("{at}/error"), error))?;
+        match rung.denoised_error {
+            Some(_) if !spec.denoise => {
+                return wrong(at + "/denoised_error", "the task does not ask for denoising; leave it out");
+            }
+            Some(error) => image_error(&format!("{at}/denoised_error"), error)?,
+            None => {}
+        }
     }
     let reasons = document.missing.iter().map(|missing| missing.reason.len());
     if document.missing.len() > 100 || reasons.max().unwrap_or(0) > 4096 {
