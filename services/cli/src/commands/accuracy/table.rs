@@ -111,7 +111,7 @@ fn truth(rung: &AccuracyRung) -> [String; 4] {
     let Some(measured) = rung.measured else { return Default::default() };
     [
         count(measured.work as f64),
-        seconds(measured.cpu_seconds),
+        seconds(measured.delivered().0),
         error_or_bound(measured.error, measured.error_deviation),
         off_by(rung.error, measured.error, measured.error_deviation),
     ]

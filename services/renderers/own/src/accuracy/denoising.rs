@@ -97,6 +97,9 @@ struct Point {
     deviation: f64,
 }
 
+/// Tiles of a frame, and the mean of its image. `None` if the tiles are the whole image.
+pub type Chosen = (Tiles, Option<f64>);
+
 /// Chooses tiles of a frame.
 pub fn choose(
     shot: &OwnShot,
@@ -105,8 +108,8 @@ pub fn choose(
     seed: u64,
     by: DenoiseBy<'_>,
     observer: &dyn AccuracyObserver,
-) -> Result<(Tiles, Spent), ShotError> {
-    let mut spent = Spent::default();
+) -> Result<(Chosen, Spent), ShotError> {
+    let (mut mean, mut spent) = (None, Spent::default());
     let tiles = Tiles::choose((asked.width, asked.height), seed, |rects| {
         let smaller = (SMALL / asked.pixels() as f64).sqrt().min(1.0);
         let side = |side: u32| ((f64::from(side) * smaller) as u32).max(1);
@@ -124,6 +127,7 @@ pub fn choose(
         let cpu_seconds = small.stats.cpu_seconds + cost.denoiser + cost.features;
         spent = Spent { work: small.stats.work, cpu_nanos: (cpu_seconds * 1e9) as u64 };
         let noisy = traced_colors(&small.image);
+        mean = Some(mean_of(&noisy));
         let denoised = small.image.denoised.map(|denoised| denoised.colors).unwrap_or_default();
         let change = |(before, after): (&[f32; 3], &[f32; 3])| -> f64 {
             let squares = before.iter().zip(after).map(|(before, after)| f64::from(after - before).powi(2));
@@ -133,7 +137,13 @@ pub fn choose(
         let changes: Vec<f64> = noisy.iter().zip(&denoised).map(change).collect();
         Ok::<_, ShotError>(rects.iter().map(|rect| sum_in(*rect, &changes, &settings)).collect())
     })?;
-    Ok((tiles, spent))
+    Ok(((tiles, mean), spent))
+}
+
+/// Mean over pixels and channels.
+fn mean_of(colors: &[[f32; 3]]) -> f64 {
+    let sum: f64 = colors.iter().flatten().map(|&value| f64::from(value)).sum();
+    sum / (3 * colors.len()) as f64
 }
 
 /// Sum of the values of an image's pixels in a rectangle, whose borders are shares of its sides. A pixel that
@@ -148,12 +158,12 @@ fn sum_in([left, top, right, bottom]: [f64; 4], values: &[f64], settings: &Rende
 }
 
 impl Left {
-    /// Measures tiles of a frame. `mean` is the forecast mean of the image, and `noise` the forecast error
-    /// with a number of camera samples.
+    /// Measures tiles of a frame. `noise` is the forecast error with a number of camera samples. `mean`: of
+    /// the image. If it is `None`, the tiles are the whole image.
     pub fn measure(
         ready: &OwnFrame<'_>,
         tiles: &Tiles,
-        mean: f64,
+        mean: Option<f64>,
         noise: impl Fn(u32) -> Result<f64, ShotError>,
         by: DenoiseBy<'_>,
         observer: &dyn AccuracyObserver,
@@ -165,17 +175,19 @@ impl Left {
             SAMPLES.into_iter().filter(|&samples| samples <= ready.tracer.settings().spp).collect();
         let (colors, cost) = ready.trace_first(&pictured, &samples, &stop).ok_or(ShotError::Cancelled)?;
         spent = spent.plus(cost);
-        let (mut features, mut nanos_of_features) = (Vec::new(), 0);
-        for &samples in &samples {
-            let (shown, nanos) =
+        let (mut denoised, mut nanos_of_features) = (Vec::new(), 0);
+        for (&samples, colors) in samples.iter().zip(&colors) {
+            let (features, nanos) =
                 ready.tracer.features_of(&pictured, samples, &stop).ok_or(ShotError::Cancelled)?;
-            features.extend(shown);
             nanos_of_features += nanos;
+            let (color, of_denoiser) = self::denoised(&tiles.pictures, colors, &features, by)?;
+            denoised.push(color);
+            spent = spent.plus(Spent { work: 0, cpu_nanos: nanos + of_denoiser });
         }
-        let (denoised, of_denoiser) = denoised(tiles.pictures[0], &colors.concat(), &features, by)?;
         let (numbers, cost) =
             compared(ready, tiles, &colors, &denoised, &stop).ok_or(ShotError::Cancelled)?;
-        spent = spent.plus(cost).plus(Spent { work: 0, cpu_nanos: nanos_of_features + of_denoiser });
+        spent = spent.plus(cost);
+        let mean = mean.or(colors.last().map(|colors| mean_of(colors))).unwrap_or_default();
         let whole = mean * mean * ready.frame().camera.pixels() as f64;
         let mut points = Vec::new();
         for (samples, sums) in samples.iter().zip(&numbers).rev() {
@@ -248,16 +260,16 @@ impl Left {
 /// Pictures of the same size, denoised together, and the CPU time of that, nanoseconds. One is below the
 /// other, with repeated rows between them, so that they do not run into each other.
 fn denoised(
-    picture: Rect,
+    pictures: &[Rect],
     colors: &[[f32; 3]],
     features: &[Feature],
     by: DenoiseBy<'_>,
 ) -> Result<(Vec<[f32; 3]>, u64), ShotError> {
-    let width = picture.width as usize;
-    let (of_picture, of_gap) = (width * picture.height as usize, width * MARGIN as usize);
+    let (width, of_picture) = (pictures[0].width as usize, colors.len() / pictures.len());
+    let gap = if pictures.len() > 1 { MARGIN as usize } else { 0 };
     let stacked = |values: &[[f32; 3]]| -> Vec<[f32; 3]> {
         let with_gaps = |picture: &[[f32; 3]]| {
-            let repeated = |row: &[[f32; 3]]| row.repeat(MARGIN as usize);
+            let repeated = |row: &[[f32; 3]]| row.repeat(gap);
             [repeated(&picture[..width]), picture.to_vec(), repeated(&picture[of_picture - width..])].concat()
         };
         values.chunks_exact(of_picture).flat_map(with_gaps).collect()
@@ -265,14 +277,17 @@ fn denoised(
     let color = stacked(colors);
     let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
     let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
-    let size = (picture.width, (color.len() / width) as u32);
+    let size = (pictures[0].width, (color.len() / width) as u32);
     let layers = Layers { size, color: &color, albedo: &stacked(&albedo), normal: &stacked(&normal) };
     let made = match by.denoiser.denoise(&layers, &Run { log: &|_| (), progress: &|_| (), ..*by.run }) {
         Err(_) if by.run.is_cancelled() => return Err(ShotError::Cancelled),
         made => made.map_err(RenderError::Denoiser)?,
     };
-    let stack = made.color.chunks_exact(of_picture + 2 * of_gap);
-    Ok((stack.flat_map(|picture| &picture[of_gap..][..of_picture]).copied().collect(), made.usage.cpu_nanos))
+    let stack = made.color.chunks_exact(of_picture + 2 * gap * width);
+    Ok((
+        stack.flat_map(|picture| &picture[gap * width..][..of_picture]).copied().collect(),
+        made.usage.cpu_nanos,
+    ))
 }
 
 /// Squared errors of a tile, weighted.
@@ -291,7 +306,7 @@ fn compared(
     ready: &OwnFrame<'_>,
     tiles: &Tiles,
     colors: &[Vec<[f32; 3]>],
-    denoised: &[[f32; 3]],
+    denoised: &[Vec<[f32; 3]>],
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Vec<Vec<Sums>>, Spent)> {
     let mut numbers = vec![Vec::new(); colors.len()];
@@ -300,7 +315,7 @@ fn compared(
         let (means, cost) = ready.tracer.independent_pixels(&tiles.pixels(tile), MEANS, stop)?;
         spent = spent.plus(Spent { work: cost.work, cpu_nanos: cost.cpu_nanos });
         let places = tiles.places(tile);
-        let of_numbers = colors.iter().zip(denoised.chunks_exact(colors[0].len()));
+        let of_numbers = colors.iter().zip(denoised);
         for (sums, (noisy, denoised)) in numbers.iter_mut().zip(of_numbers) {
             let mut sum = Sums { draws: tile.draws, ..Sums::default() };
             for (&place, means) in places.iter().zip(&means) {

@@ -41,7 +41,7 @@ use crate::costs::seconds;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::shot::OwnShot;
-use denoising::Left;
+use denoising::{Chosen, Left};
 use forelight_forecast::Calibration;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, Quantiles,
@@ -51,7 +51,6 @@ use forelight_quote::{ladder, mark};
 use gathers::{affordable, is_too_dear, relate};
 use interpolation::Truth;
 use pilot::View;
-use tiles::Tiles;
 
 /// Camera samples of a profiled pixel: enough for four doublings.
 const PILOT_SPP: u32 = 16;
@@ -105,7 +104,7 @@ struct Prediction<'a> {
     observer: &'a dyn AccuracyObserver,
     pilots: Vec<Pilot>,
     truth: Option<Truth>,
-    tiles: Option<Tiles>,
+    tiles: Option<Chosen>,
     /// What a denoiser leaves, for an integrator with or without a cache.
     left: Vec<((Integrator, CacheMode), Left)>,
     rungs: Vec<AccuracyRung>,
@@ -241,26 +240,31 @@ impl<'a> Prediction<'a> {
 
     /// What a denoiser leaves of the noise of settings like a pilot's: the place in [`Self::left`].
     fn left(&mut self, pilot: usize, by: DenoiseBy<'_>) -> Result<usize, ShotError> {
+        let asked = self.pilot(self.asked)?;
         let pilot = &self.pilots[pilot];
         let kind = (pilot.settings.integrator, pilot.settings.cache);
         if let Some(known) = self.left.iter().position(|(known, _)| *known == kind) {
             return Ok(known);
         }
-        let tiles = match self.tiles.take() {
-            Some(tiles) => tiles,
+        let chosen = match self.tiles.take() {
+            Some(chosen) => chosen,
             None => {
                 let (shot, seed) = (self.shot, self.options.seed);
-                let (tiles, spent) =
+                let (chosen, spent) =
                     denoising::choose(shot, self.frame, self.asked, seed, by, self.observer)?;
                 self.spent = self.spent.plus(spent);
-                tiles
+                chosen
             }
         };
         let ready = self.shot.frame(self.frame, &pilot.settings)?;
         let noise = |spp: u32| Ok(pilot.noisy(&pilot.view, spp)?.noise.p50);
-        let (left, spent) = Left::measure(&ready, &tiles, pilot.mean()?, noise, by, self.observer)?;
+        // The mean of few pixels is less sure than its ratio for two kinds of settings on the same pixels.
+        let ratio = pilot.mean()? / self.pilots[asked].mean()?;
+        let (tiles, mean) = &chosen;
+        let mean = mean.map(|mean| mean * ratio);
+        let (left, spent) = Left::measure(&ready, tiles, mean, noise, by, self.observer)?;
         self.spent = self.spent.plus(ready.spent_on_setup()).plus(ready.fixed().plan).plus(spent);
-        self.tiles = Some(tiles);
+        self.tiles = Some(chosen);
         self.left.push((kind, left));
         Ok(self.left.len() - 1)
     }
