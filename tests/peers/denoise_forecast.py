@@ -39,6 +39,6 @@ for samples, *files in [argument.split(":") for argument in sys.argv[2:]]:
     error, low, high = true_error(files)
     print(f"{samples} samples: {100 * error:.2f} %, forecast {100 * forecast['p50']:.2f} %"
           f" ({100 * forecast['p05']:.2f} to {100 * forecast['p95']:.2f} %)")
-    # Seeds are fixed, so this is no matter of chance.
-    if high < forecast["p05"] or low > forecast["p95"] or not 0.6 < forecast["p50"] / error < 1.6:
+    # Seeds are fixed, so this is no matter of chance. But the denoiser's bits depend on the processor.
+    if high < 0.9 * forecast["p05"] or low > 1.1 * forecast["p95"] or not 0.6 < forecast["p50"] / error < 1.6:
         sys.exit("failed: another error")

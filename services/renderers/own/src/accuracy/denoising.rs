@@ -97,7 +97,7 @@ struct Point {
     deviation: f64,
 }
 
-/// Tiles of a frame, and the mean of its image. `None` if the tiles are the whole image.
+/// Tiles of a frame, and the mean of its small image. The mean is absent if the tiles are the whole image.
 pub type Chosen = (Tiles, Option<f64>);
 
 /// Chooses tiles of a frame.
@@ -158,8 +158,8 @@ fn sum_in([left, top, right, bottom]: [f64; 4], values: &[f64], settings: &Rende
 }
 
 impl Left {
-    /// Measures tiles of a frame. `noise` is the forecast error with a number of camera samples. `mean`: of
-    /// the image. If it is `None`, the tiles are the whole image.
+    /// Measures tiles of a frame. `mean` is that of the image; without it, the tiles are the whole image. `noise`
+    /// is the forecast error with a number of camera samples.
     pub fn measure(
         ready: &OwnFrame<'_>,
         tiles: &Tiles,
