@@ -69,7 +69,7 @@ done
 
 echo 'ladders in a quote of the farm'
 at=(--server "$server" --data "$work/data")
-"$FORELIGHT_BIN" submit deploy/scenes/kitchen "${at[@]}" --frames 0-3 --width 48 --height 27 --spp 2 \
+"$FORELIGHT_BIN" submit deploy/scenes/kitchen "${at[@]}" --frames 0-3 --width 64 --height 36 --spp 4 \
   --ambient-bounces 1 --name ladders --ladders --denoise --hold --follow >"$work/log" 2>&1 ||
   { cat "$work/log"; fail 'submit --ladders --denoise'; }
 "$FORELIGHT_BIN" accuracy "${at[@]}" --job ladders --json >"$work/ladders.json"

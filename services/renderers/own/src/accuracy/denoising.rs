@@ -37,6 +37,9 @@ const SMALL: f64 = 36_864.0;
 /// Least share of a squared error that is left. Less cannot be measured by so few samples.
 const LEAST_LEFT: f64 = 1e-3;
 
+/// Largest standard deviation of the logarithm of an error. Nothing is known then.
+const UNKNOWN: f64 = 1.0;
+
 /// Standard deviation of the logarithm of the error for every doubling of the samples beyond the measured
 /// ones.
 const BEYOND: f64 = 0.1;
@@ -252,7 +255,7 @@ impl Left {
         Some(Point {
             noise,
             left: first.left - slope.clamp(0.0, 1.0) * beyond,
-            deviation: first.deviation.hypot(BEYOND * doublings),
+            deviation: first.deviation.hypot(BEYOND * doublings).min(UNKNOWN),
         })
     }
 }
@@ -350,7 +353,8 @@ fn root(sums: &[Sums], whole: f64) -> (f64, f64) {
     // Within a tile, few pixels may hold most of the error.
     let of_pixels = 0.5 * all(|sum| sum.squares).sqrt() / denoised.max(LEAST_LEFT * noisy);
     let deviation = of_tiles.hypot(of_pixels);
-    (root(noisy, denoised), if deviation.is_finite() { deviation } else { 1.0 })
+    // `min` leaves out what is no number.
+    (root(noisy, denoised), deviation.min(UNKNOWN))
 }
 
 #[cfg(test)]
@@ -390,6 +394,7 @@ mod tests {
         let width = |given: f64| left.error(noise(given)).p95 / left.error(noise(given)).p05;
         assert!(width(0.01) > width(0.05) && width(0.05) > width(0.1));
         assert_eq!(left.error(noise(0.0)), known(0.0), "there is nothing to remove");
+        assert!(width(f64::MIN_POSITIVE) < 30.0, "nothing is known, which is no reason for infinite errors");
     }
 
     #[test]

@@ -10,6 +10,7 @@ use crate::profile::noise::{FrameNoise, Zones, noise_strata};
 use crate::profile::strata::{forecast_strata, record_prior_cost};
 use crate::profile::{self, Observer, profile_ready};
 use crate::quote_options::QuoteOptions;
+use crate::render::denoised::normal_error;
 use crate::results::uncovered_gathers;
 use crate::shot::OwnShot;
 use forelight_forecast::accuracy::{ImageNoise, MeanSquare};
@@ -147,10 +148,13 @@ impl Pilot {
 
     /// The same in two parts.
     pub fn noisy(&self, view: &View, spp: u32) -> Result<Noisy, ShotError> {
-        let error = |square: MeanSquare| image_error(square.error(Calibration::NONE));
-        let noise = error(self.image(&self.noise, view)?.noise_at(spp));
+        let noise = image_error(self.image(&self.noise, view)?.noise_at(spp).error(Calibration::NONE));
         let of_cache = match &self.interpolation {
-            Some(interpolation) => error(self.image(interpolation, view)?.bias_square()),
+            Some(interpolation) => {
+                // A mean of products of both signs, which may be hardly above 0: not log-normal.
+                let MeanSquare { value, variance, .. } = self.image(interpolation, view)?.bias_square();
+                normal_error(value, variance.sqrt())
+            }
             None => ImageError::default(),
         };
         Ok(Noisy { noise, of_cache })

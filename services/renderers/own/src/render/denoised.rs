@@ -256,8 +256,13 @@ fn image_error(squares: &[f64], mean: f64) -> ImageError {
     let count = squares.len() as f64;
     let square = squares.iter().sum::<f64>() / count;
     let variance = squares.iter().map(|value| (value - square).powi(2)).sum::<f64>() / (count - 1.0).max(1.0);
-    let deviation = (variance / count).sqrt();
-    let at = |normal: f64| (square + normal * deviation).max(0.0).sqrt() / mean;
+    let scale = 1.0 / (mean * mean);
+    normal_error(square * scale, (variance / count).sqrt() * scale)
+}
+
+/// The error whose square is normal with this mean and deviation.
+pub(crate) fn normal_error(square: f64, deviation: f64) -> ImageError {
+    let at = |normal: f64| (square + normal * deviation).max(0.0).sqrt();
     ImageError { p05: at(-1.645), p50: at(0.0), p80: at(0.842), p95: at(1.645) }
 }
 
