@@ -202,6 +202,11 @@ impl Left {
                 points.push(Point { noise, left, deviation });
             }
         }
+        // What is left may be too little to be measured by so few samples.
+        let is_known = |point: &Point| point.deviation < UNKNOWN;
+        if points.iter().any(is_known) {
+            points.retain(is_known);
+        }
         let all_samples = f64::from(samples.iter().sum::<u32>());
         let feature = nanos_of_features as f64 / (pictured.len() as f64 * all_samples);
         Ok((Self { points, denoiser: by.nanos_per_pixel as f64, feature }, spent))
