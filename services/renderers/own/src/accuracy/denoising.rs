@@ -16,10 +16,10 @@ use super::tiles::{MARGIN, Rect, Tiles};
 use crate::error::{RenderError, ShotError};
 use crate::frame::OwnFrame;
 use crate::render::denoised::{
-    feature_samples, remove_noise, share_of_measuring, square, traced_colors, with_folder,
+    added_nanos, feature_samples, mean_of, remove_noise, square, traced_colors, with_folder, without_noise,
 };
 use crate::shot::OwnShot;
-use forelight_denoise::{Denoiser, Layers};
+use forelight_denoise::Denoiser;
 use forelight_protocol::{CacheMode, ImageError, RenderSettings, Spent};
 use forelight_renderer::door::Run;
 use forelight_tracer::Feature;
@@ -143,12 +143,6 @@ pub fn choose(
     Ok(((tiles, mean), spent))
 }
 
-/// Mean over pixels and channels.
-fn mean_of(colors: &[[f32; 3]]) -> f64 {
-    let sum: f64 = colors.iter().flatten().map(|&value| f64::from(value)).sum();
-    sum / (3 * colors.len()) as f64
-}
-
 /// Sum of the values of an image's pixels in a rectangle, whose borders are shares of its sides. A pixel that
 /// overlaps it in part counts whole.
 fn sum_in([left, top, right, bottom]: [f64; 4], values: &[f64], settings: &RenderSettings) -> f64 {
@@ -230,10 +224,8 @@ impl Left {
     /// CPU seconds of denoising an image, and of measuring what is left. `traced`: those of tracing its
     /// pixels.
     pub fn cpu_seconds(&self, settings: &RenderSettings, traced: f64) -> f64 {
-        let pixels = settings.pixels() as f64;
         let of_pixel = self.denoiser + self.feature * f64::from(feature_samples(settings.spp));
-        let measuring = share_of_measuring(settings.pixels() as usize, settings.spp);
-        1e-9 * of_pixel * pixels + measuring * traced
+        1e-9 * added_nanos((settings.pixels() as usize, settings.spp), of_pixel, 1e9 * traced)
     }
 
     /// What is left of this noise. `None` if there is none, or nothing was measured.
@@ -275,27 +267,23 @@ fn denoised(
 ) -> Result<(Vec<[f32; 3]>, u64), ShotError> {
     let (width, of_picture) = (pictures[0].width as usize, colors.len() / pictures.len());
     let gap = if pictures.len() > 1 { MARGIN as usize } else { 0 };
-    let stacked = |values: &[[f32; 3]]| -> Vec<[f32; 3]> {
-        let with_gaps = |picture: &[[f32; 3]]| {
-            let repeated = |row: &[[f32; 3]]| row.repeat(gap);
-            [repeated(&picture[..width]), picture.to_vec(), repeated(&picture[of_picture - width..])].concat()
-        };
-        values.chunks_exact(of_picture).flat_map(with_gaps).collect()
-    };
-    let color = stacked(colors);
-    let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
-    let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
+    let (color, features) =
+        (stacked(colors, of_picture, width, gap), stacked(features, of_picture, width, gap));
     let size = (pictures[0].width, (color.len() / width) as u32);
-    let layers = Layers { size, color: &color, albedo: &stacked(&albedo), normal: &stacked(&normal) };
-    let made = match by.denoiser.denoise(&layers, &Run { log: &|_| (), progress: &|_| (), ..*by.run }) {
-        Err(_) if by.run.is_cancelled() => return Err(ShotError::Cancelled),
-        made => made.map_err(RenderError::Denoiser)?,
-    };
+    let made = without_noise(size, &color, &features, by.denoiser, by.run)?.ok_or(ShotError::Cancelled)?;
     let stack = made.color.chunks_exact(of_picture + 2 * gap * width);
     Ok((
         stack.flat_map(|picture| &picture[gap * width..][..of_picture]).copied().collect(),
         made.usage.cpu_nanos,
     ))
+}
+
+/// Pictures one below the other, each between `gap` copies of its first row and of its last.
+fn stacked<T: Copy>(values: &[T], of_picture: usize, width: usize, gap: usize) -> Vec<T> {
+    let with_gaps = |picture: &[T]| {
+        [picture[..width].repeat(gap), picture.to_vec(), picture[of_picture - width..].repeat(gap)].concat()
+    };
+    values.chunks_exact(of_picture).flat_map(with_gaps).collect()
 }
 
 /// Squared errors of a tile, weighted.

@@ -10,12 +10,12 @@ use crate::costs::seconds;
 use crate::error::RenderError;
 use crate::frame::OwnFrame;
 use crate::render::Rendered;
-use forelight_denoise::{Denoiser, Layers};
+use forelight_denoise::{Denoised, Denoiser, Layers};
 use forelight_forecast::PixelCurve;
 use forelight_protocol::{DenoisedStats, ImageError};
 use forelight_random::Random;
 use forelight_renderer::door::{Limits, RendererError, Run};
-use forelight_tracer::{DenoisedColors, Image, Pixel};
+use forelight_tracer::{DenoisedColors, Feature, Image, Pixel};
 use std::sync::atomic::AtomicBool;
 
 /// Camera samples by which features are averaged: enough for smooth edges.
@@ -92,18 +92,30 @@ pub(crate) fn remove_noise(
 ) -> Result<Option<DenoisingCost>, RenderError> {
     let samples = feature_samples(ready.tracer.settings().spp);
     let Some((features, tracing)) = ready.tracer.features(samples, &|| stops(run)) else { return Ok(None) };
-    let color = traced_colors(image);
-    let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
-    let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
-    let layers =
-        Layers { size: (image.width, image.height), color: &color, albedo: &albedo, normal: &normal };
-    // What it says of its progress is no news in a log.
-    let made = match denoiser.denoise(&layers, &Run { log: &|_| (), progress: &|_| (), ..*run }) {
-        Err(_) if run.is_cancelled() => return Ok(None),
-        made => made?,
+    let size = (image.width, image.height);
+    let Some(made) = without_noise(size, &traced_colors(image), &features, denoiser, run)? else {
+        return Ok(None);
     };
     image.denoised = Some(DenoisedColors { by: made.by, colors: made.color, features });
     Ok(Some(DenoisingCost { denoiser: seconds(made.usage.cpu_nanos), features: seconds(tracing) }))
+}
+
+/// Colours without noise. `None` if the run was cancelled.
+pub(crate) fn without_noise(
+    size: (u32, u32),
+    color: &[[f32; 3]],
+    features: &[Feature],
+    denoiser: &Denoiser,
+    run: &Run<'_>,
+) -> Result<Option<Denoised>, RenderError> {
+    let albedo: Vec<[f32; 3]> = features.iter().map(|feature| feature.albedo.to_array()).collect();
+    let normal: Vec<[f32; 3]> = features.iter().map(|feature| feature.normal.to_array()).collect();
+    let layers = Layers { size, color, albedo: &albedo, normal: &normal };
+    // What it says of its progress is no news in a log.
+    match denoiser.denoise(&layers, &Run { log: &|_| (), progress: &|_| (), ..*run }) {
+        Err(_) if run.is_cancelled() => Ok(None),
+        made => Ok(Some(made?)),
+    }
 }
 
 /// Camera samples of each pixel's features in an image of `spp`.
@@ -119,7 +131,7 @@ fn measuring(pixels: usize, spp: u32) -> (u32, u32) {
 }
 
 /// Camera samples by which an image is measured, as a share of its own.
-pub(crate) fn share_of_measuring(pixels: usize, spp: u32) -> f64 {
+fn share_of_measuring(pixels: usize, spp: u32) -> f64 {
     let (measured, of_mean) = measuring(pixels, spp);
     f64::from(measured).min(pixels as f64) * f64::from(MEANS * of_mean) / (pixels as f64 * f64::from(spp))
 }
@@ -136,10 +148,15 @@ pub(crate) fn forecast_nanos(
 ) -> Option<(u64, u64)> {
     let (pixels, spp) = (ready.frame().camera.pixels(), ready.tracer.settings().spp);
     let (_, asking) = ready.tracer.features_of(some, feature_samples(spp), stop)?;
-    let features = asking as f64 * pixels as f64 / some.len().max(1) as f64;
-    let denoiser = denoiser_nanos_per_pixel as f64 * pixels as f64;
+    let of_pixel = denoiser_nanos_per_pixel as f64 + asking as f64 / some.len().max(1) as f64;
     // The conversion saturates.
-    Some(((denoiser + features + share_of_measuring(pixels, spp) * nanos_of_all_pixels) as u64, asking))
+    Some((added_nanos((pixels, spp), of_pixel, nanos_of_all_pixels) as u64, asking))
+}
+
+/// What [`denoise`] adds to an image of so many pixels and camera samples, from the nanoseconds of removing the noise
+/// of a pixel and of tracing all pixels.
+pub(crate) fn added_nanos((pixels, spp): (usize, u32), of_pixel: f64, of_all_pixels: f64) -> f64 {
+    of_pixel * pixels as f64 + share_of_measuring(pixels, spp) * of_all_pixels
 }
 
 /// Measures the error of a denoised image, whose noise was removed at this cost. `None` if the run was
@@ -156,7 +173,7 @@ fn measured(
     let places = places(&ready.curve(), [&color, &denoised.colors], count, ready.tracer.settings().seed);
     let pixels: Vec<u32> = places.iter().map(|place| place.pixel).collect();
     let (means, measuring) = ready.tracer.independent_pixels(&pixels, (MEANS, of_mean), &|| stops(run))?;
-    let mean = color.iter().flatten().map(|&value| f64::from(value)).sum::<f64>() / (3 * color.len()) as f64;
+    let mean = mean_of(&color);
     let error = |colors: &[[f32; 3]]| image_error(&squares(colors, &places, &means), mean);
     Some(DenoisedStats {
         by: denoised.by.clone(),
@@ -173,6 +190,11 @@ fn measured(
 /// The colours that were traced: with noise.
 pub(crate) fn traced_colors(image: &Image) -> Vec<[f32; 3]> {
     image.pixels.iter().map(|pixel| pixel.color).collect()
+}
+
+/// Mean over pixels and channels.
+pub(crate) fn mean_of(colors: &[[f32; 3]]) -> f64 {
+    colors.iter().flatten().map(|&value| f64::from(value)).sum::<f64>() / (3 * colors.len()) as f64
 }
 
 /// A pixel whose error is measured, and by how much it counts.
