@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `pixel` | the variance of one pixel at any number of samples, from its own camera samples |
 //! | `variance_curve` | how the variance of a pixel falls with the number of its samples |
+//! | `cells` | which sampled pixels stand for which pixels of an image |
 //! | `image` | the error of the whole image, from some pixels |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `sampled_pixel` | a pixel of an unfinished image |
@@ -20,6 +21,7 @@
 //! of samples; see [`PixelSamples`].
 
 pub mod allot;
+mod cells;
 mod curve_correction;
 mod front;
 mod image;
@@ -28,10 +30,9 @@ mod sampled_pixel;
 mod survey;
 mod variance_curve;
 
+pub use cells::{NoiseCell, NoiseGroup, NoiseSample, Sampled};
 pub use front::{Point, Step, front, front_of_known};
-pub use image::{
-    ErrorQuantiles, ImageNoise, MeanSquare, NoiseCell, NoiseGroup, NoiseSample, noise_cells, noise_groups,
-};
+pub use image::{ErrorQuantiles, ImageNoise, MeanSquare};
 pub use pixel::{PixelNoise, PixelSamples};
 pub use sampled_pixel::SampledPixel;
 pub use survey::Survey;

@@ -1,7 +1,7 @@
 //! Errors of images from pixels whose variance is known in closed form.
 
 use forelight_forecast::accuracy::{
-    ImageNoise, NoiseCell, NoiseSample, PixelNoise, PixelSamples, Point, front, noise_cells,
+    ImageNoise, NoiseCell, NoiseSample, PixelNoise, PixelSamples, Point, Sampled, front,
 };
 use forelight_forecast::{Calibration, ForecastError, Stratum};
 use forelight_random::hash;
@@ -21,6 +21,17 @@ fn pixel(mean: f64, deviation: f64, samples: u64, seed: u64) -> PixelNoise {
         pixel.push([value as f32; 3]);
     }
     pixel.noise()
+}
+
+/// Cells of an image of which some pixels were profiled, and others scanned.
+fn cells(
+    strata: &[Stratum],
+    counts: &[u32],
+    profiled: &[NoiseSample],
+    scanned: &[NoiseSample],
+) -> Result<Vec<NoiseCell>, ForecastError> {
+    let sampled = Sampled { profiled, scattered: profiled.len(), scanned };
+    Ok(sampled.cells(&sampled.groups(strata, counts)?, counts).concat())
 }
 
 /// Half of the pixels of mean 1 and deviation 0.5, half of mean 3 and deviation 2.
@@ -97,23 +108,105 @@ fn a_stratum_counts_by_its_pixels_and_one_without_samples_is_like_its_material()
         sample(2, 3.0, 5.0),
         sample(3, 9.0, 7.0),
     ];
-    let cells = noise_cells(&strata, &[600, 100, 100, 200], &samples).unwrap();
-    let shape: Vec<(u64, usize)> = cells.iter().map(|cell| (cell.pixels, cell.samples.len())).collect();
+    let of_all = cells(&strata, &[600, 100, 100, 200], &samples, &[]).unwrap();
+    let shape: Vec<(u64, usize)> = of_all.iter().map(|cell| (cell.pixels, cell.samples.len())).collect();
     // The last has a single sample and no kin: it is taken to be like everything.
     assert_eq!(shape, [(600, 2), (200, 2), (200, 5)]);
-    let unsampled = noise_cells(&strata, &[600, 100, 0, 0], &samples[..3]).unwrap();
+    let unsampled = cells(&strata, &[600, 100, 0, 0], &samples[..3], &[]).unwrap();
     assert_eq!(unsampled.iter().map(|cell| cell.pixels).sum::<u64>(), 700);
+}
+
+/// One pixel in 200 holds nearly all of the error. The profiled pixels are 300, the scanned ones 2,000.
+#[test]
+fn a_scan_finds_the_few_pixels_that_hold_most_of_the_error() {
+    const SEEDS: u64 = 60;
+    let strata = [Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false }];
+    let sample = |samples: u64, place: u64| {
+        let deviation = if hash(place).is_multiple_of(200) { 20.0 } else { 0.2 };
+        NoiseSample { stratum: 0, noise: pixel(1.0, deviation, samples, place) }
+    };
+    let images = |scanned: u64| -> Vec<ImageNoise> {
+        let of = |seed: u64| {
+            let profiled: Vec<NoiseSample> = (0..300).map(|i| sample(16, (seed << 32) + i)).collect();
+            let scanned: Vec<NoiseSample> =
+                (0..scanned).map(|i| sample(8, (seed << 32) + 1000 + i)).collect();
+            ImageNoise::new(cells(&strata, &[100_000], &profiled, &scanned).unwrap()).unwrap()
+        };
+        (1..=SEEDS).map(of).collect()
+    };
+    let (without, with) = (images(0), images(2000));
+    for spp in [1, 4, 16, 64] {
+        // The mean variance of a pixel is 400 / 200 + 0.04.
+        let truth = 2.04 / f64::from(spp);
+        let ratios = |images: &[ImageNoise]| -> Vec<f64> {
+            images.iter().map(|image| image.noise_at(spp).value / truth).collect()
+        };
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / SEEDS as f64;
+        let spread = |values: &[f64]| {
+            mean(&values.iter().map(|value| value.ln().powi(2)).collect::<Vec<f64>>()).sqrt()
+        };
+        let (few, many) = (ratios(&without), ratios(&with));
+        assert!((mean(&many) - 1.0).abs() < 0.25, "{spp} samples: {} times the truth", mean(&many));
+        let (few, many) = (spread(&few), spread(&many));
+        assert!(many < 0.6 * few, "{spp} samples: {many} with a scan, {few} without");
+        let holds = |image: &&ImageNoise| {
+            let error = image.noise_at(spp).error(Calibration::NONE);
+            // Brightness is 1 but for the noise.
+            (error.p05..=error.p95).contains(&truth.sqrt())
+        };
+        let inside = with.iter().filter(holds).count();
+        assert!(
+            inside as u64 * 10 >= SEEDS * 8,
+            "{spp} samples: the truth is in {inside} of {SEEDS} intervals"
+        );
+    }
+}
+
+#[test]
+fn the_first_drops_are_means_of_all_pixels_and_the_later_ones_those_of_profiled_pixels_in_proportion() {
+    let strata = [0, 1].map(|object| Stratum { object, material: object, prior_cost: 1.0, apart: false });
+    let flat = |stratum, brightness: f64, drops: &[f64]| {
+        let noise = PixelNoise { brightness, drops: drops.to_vec(), bias_square: 0.0 };
+        NoiseSample { stratum, noise }
+    };
+    let mut profiled = [0, 0, 1, 1, 0].map(|stratum| flat(stratum, 2.0, &[8.0, 2.0, 1.0]));
+    // The last is not scattered, so its brightness and first drops count for nothing.
+    profiled[4] = flat(0, 9.0, &[2.0, 2.0, 4.0]);
+    let of_first = |i| if i % 2 == 0 { flat(0, 1.0, &[4.0, 3.0]) } else { flat(0, 3.0, &[6.0, 1.0]) };
+    let mut scanned: Vec<NoiseSample> = (0..98).map(of_first).collect();
+    scanned.push(flat(1, 4.0, &[0.0, 8.0]));
+    let sampled = Sampled { profiled: &profiled, scattered: 4, scanned: &scanned };
+    for counts in [[6000, 4000], [3, 2]] {
+        let found = sampled.cells(&sampled.groups(&strata, &counts).unwrap(), &counts).concat();
+        assert_eq!(found.iter().map(|cell| cell.pixels).sum::<u64>(), u64::from(counts[0] + counts[1]));
+        let image = ImageNoise::new(found).unwrap();
+        // Weights of the strata are 0.6 and 0.4.
+        let mean = |first: f64, second: f64| 0.6 * first + 0.4 * second;
+        let first = mean((2.0 * 8.0 + 98.0 * 5.0) / 100.0, (2.0 * 8.0 + 0.0) / 3.0);
+        let second = mean(2.0, (2.0 * 2.0 + 8.0) / 3.0);
+        let of_profiled = mean((2.0 * 12.0 + 6.0) / 3.0, 12.0);
+        let third = mean(2.0, 1.0) * (first + 2.0 * second) / of_profiled;
+        for (found, expected) in image.drops().iter().zip([first, second, third]) {
+            assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+        }
+        assert!((image.mean() - mean(2.0, 8.0 / 3.0)).abs() < 1e-9, "{}", image.mean());
+    }
+    // A single pixel cannot be shared.
+    let one = cells(&strata[..1], &[1], &profiled[..2], &scanned[..9]).unwrap();
+    assert_eq!((one.len(), one[0].pixels, &one[0].samples[0]), (1, 1, &profiled[0].noise));
 }
 
 #[test]
 fn what_says_nothing_is_refused() {
     let stratum = Stratum { object: 0, material: 0, prior_cost: 1.0, apart: false };
     let sample = |stratum, samples| NoiseSample { stratum, noise: pixel(1.0, 1.0, samples, 3) };
-    assert_eq!(noise_cells(&[stratum], &[4], &[]), Err(ForecastError::NoSamples));
-    assert!(matches!(noise_cells(&[stratum], &[4, 4], &[]), Err(ForecastError::CountsLength { .. })));
-    let foreign = noise_cells(&[stratum], &[4], &[sample(1, 4)]);
-    assert!(matches!(foreign, Err(ForecastError::UnknownStratum { .. })));
-    let single = noise_cells(&[stratum], &[4], &[sample(0, 1)]).unwrap();
+    assert_eq!(cells(&[stratum], &[4], &[], &[sample(0, 4)]), Err(ForecastError::NoSamples));
+    assert!(matches!(cells(&[stratum], &[4, 4], &[], &[]), Err(ForecastError::CountsLength { .. })));
+    for (profiled, scanned) in [(1, 0), (0, 1)] {
+        let foreign = cells(&[stratum], &[4], &[sample(profiled, 4)], &[sample(scanned, 4)]);
+        assert!(matches!(foreign, Err(ForecastError::UnknownStratum { .. })));
+    }
+    let single = cells(&[stratum], &[4], &[sample(0, 1)], &[]).unwrap();
     assert!(matches!(ImageNoise::new(single), Err(ForecastError::NoSamples)));
     assert!(matches!(ImageNoise::new(Vec::new()), Err(ForecastError::NoSamples)));
 }

@@ -97,23 +97,25 @@ pub struct CacheSample {
     pub rays: [u64; 7],
 }
 
-/// Noise of one profiled pixel, from its camera samples.
+/// Noise of one pixel, from its camera samples. Weighted, where a set of pixels has two cells.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseSample {
     /// Mean of the samples, over the three linear channels.
     pub brightness: f32,
     /// Estimates of V(1) − V(2), V(2) − V(4), … V(n) is the variance of the mean of n camera samples,
-    /// averaged over the channels. ⌊log₂ n⌋ values for n samples, none negative.
+    /// averaged over the channels. None is negative.
     #[schema(max_items = 32)]
     pub drops: Vec<f32>,
 }
 
-/// A set of similar pixels of a frame, and the noise of some of them.
+/// A set of similar pixels of a frame, and the noise of some of them. Where some pixels were profiled and others
+/// scanned with fewer samples, the set is two cells of half its size. The weights of their samples are such
+/// that the mean over both cells is the estimate for the set.
 #[derive(Clone, PartialEq, Debug, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseCell {
-    /// Number of pixels in the set.
+    /// Number of pixels in the set, or in half of it.
     pub pixels: u32,
     /// Some of them, each chosen with the same probability.
     pub samples: Vec<NoiseSample>,
@@ -195,7 +197,8 @@ pub struct ProfileResult {
 }
 
 impl ProfileResult {
-    /// Work of setting up the frame and tracing its pixels, without other qualities and the irradiance cache.
+    /// Work of setting up the frame and tracing its pixels, also those for the error of its image alone. Without
+    /// other qualities and the irradiance cache.
     pub fn work_on_pixels(&self) -> u64 {
         let gathered = self.cache_samples.iter().chain(&self.shared_cache_samples).map(|sample| sample.work);
         let on_ladders = self.ladders.as_ref().map_or(0, |ladders| ladders.spent.work);

@@ -4231,17 +4231,19 @@ export interface components {
              */
             until: string;
         };
-        /** @description A set of similar pixels of a frame, and the noise of some of them. */
+        /** @description A set of similar pixels of a frame, and the noise of some of them. Where some pixels were profiled and others
+         *     scanned with fewer samples, the set is two cells of half its size. The weights of their samples are such
+         *     that the mean over both cells is the estimate for the set. */
         NoiseCell: {
             /**
              * Format: int32
-             * @description Number of pixels in the set.
+             * @description Number of pixels in the set, or in half of it.
              */
             pixels: number;
             /** @description Some of them, each chosen with the same probability. */
             samples: components["schemas"]["NoiseSample"][];
         };
-        /** @description Noise of one profiled pixel, from its camera samples. */
+        /** @description Noise of one pixel, from its camera samples. Weighted, where a set of pixels has two cells. */
         NoiseSample: {
             /**
              * Format: float
@@ -4249,7 +4251,7 @@ export interface components {
              */
             brightness: number;
             /** @description Estimates of V(1) − V(2), V(2) − V(4), … V(n) is the variance of the mean of n camera samples,
-             *     averaged over the channels. ⌊log₂ n⌋ values for n samples, none negative. */
+             *     averaged over the channels. None is negative. */
             drops: number[];
         };
         /** @description A job that may miss its deadline. */

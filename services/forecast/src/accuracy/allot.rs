@@ -16,6 +16,7 @@
 //! is 6 % smaller than at 40, and at 48 it is 16 % smaller. So [`whole`] mixes only such numbers.
 
 use super::variance_curve::{EXPONENTS, powers};
+use super::{ImageNoise, NoiseCell};
 use crate::error::ForecastError;
 use crate::moments::sum;
 
@@ -37,28 +38,33 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// Builds a zone from its sampled pixels. `samples` holds variance curves
-    /// ([`super::ImageNoise::curve_of`]) and costs at `spp` camera samples. The curve is shrunk towards
-    /// `of_image`, that of the whole image.
+    /// Builds a zone of `image` from its cells ([`super::Sampled::cells`]) and the costs of its profiled
+    /// pixels at `spp` camera samples. Its curve is shrunk towards that of the whole image.
     ///
     /// # Errors
-    /// [`ForecastError::NoSamples`] if `samples` is empty.
+    /// [`ForecastError::NoSamples`] if a cell or `costs` is empty.
     pub fn new(
-        pixels: u64,
-        samples: &[([f64; 2], f64)],
+        image: &ImageNoise,
+        cells: &[NoiseCell],
+        costs: &[f64],
         spp: u32,
-        of_image: [f64; 2],
     ) -> Result<Self, ForecastError> {
-        if samples.is_empty() {
+        if costs.is_empty() || cells.iter().any(|cell| cell.samples.is_empty()) {
             return Err(ForecastError::NoSamples);
         }
-        let count = samples.len() as f64;
+        let pixels = sum(cells.iter().map(|cell| cell.pixels as f64));
+        let count = cells.iter().map(|cell| cell.samples.len()).sum::<usize>() as f64;
+        let of_image = image.curve();
         let variance = [0, 1].map(|which| {
-            let own = sum(samples.iter().map(|(curve, _)| curve[which]));
-            ((own + IMAGE_WEIGHT * of_image[which]) / (count + IMAGE_WEIGHT)).max(0.0)
+            let mean = |cell: &NoiseCell| {
+                let curves = cell.samples.iter().map(|pixel| image.curve_of(pixel)[which]);
+                cell.pixels as f64 * sum(curves) / cell.samples.len() as f64
+            };
+            let own = sum(cells.iter().map(mean)) / pixels.max(1.0);
+            ((count * own + IMAGE_WEIGHT * of_image[which]) / (count + IMAGE_WEIGHT)).max(0.0)
         });
-        let cost = sum(samples.iter().map(|(_, cost)| *cost)) / count / f64::from(spp);
-        Ok(Self { pixels: pixels as f64, variance, cost })
+        let cost = sum(costs.iter().copied()) / costs.len() as f64 / f64::from(spp);
+        Ok(Self { pixels, variance, cost })
     }
 
     /// Sum of the variances of the zone's pixels at `samples` samples each.

@@ -3,30 +3,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::PixelNoise;
 use super::variance_curve::{EXPONENTS, between, powers, powers_of_pixel};
+use super::{NoiseCell, PixelNoise};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, combined, quantity};
 use crate::moments::sum;
-use crate::strata::Stratum;
-
-/// A profiled pixel with the statistics of its camera samples.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct NoiseSample {
-    /// Index of the pixel's stratum.
-    pub stratum: u32,
-    /// Statistics of its camera samples.
-    pub noise: PixelNoise,
-}
-
-/// A set of pixels and the sampled ones among them, of which each was equally likely to be sampled.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct NoiseCell {
-    /// Number of pixels in the set.
-    pub pixels: u64,
-    /// The sampled pixels.
-    pub samples: Vec<PixelNoise>,
-}
 
 /// Quantiles of the error of an image, as a share of the image's mean.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -259,15 +240,14 @@ impl ImageNoise {
 }
 
 impl Fit {
-    /// Weighted least squares over the image's relative drops. A and B are not negative.
+    /// Weighted least squares over the image's drops relative to their scales. A and B are not negative.
     fn of(drops: &[f64]) -> Self {
         // Drop k of 1 / n^1.5 and of 1 / n.
         let shape = |which: usize, k: usize| {
             libm::exp2(-EXPONENTS[which] * k as f64) * (1.0 - libm::exp2(-EXPONENTS[which]))
         };
-        let largest = drops.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        let weight =
-            |k: usize| 1.0 / drops[k].max(1e-6 * largest) / drops[k].max(1e-6 * largest) * largest * largest;
+        let scales = scales(drops);
+        let weight = |k: usize| 1.0 / (scales[k] * scales[k]);
         let levels = 0..drops.len();
         let product = |one: usize, other: usize| {
             sum(levels.clone().map(|k| weight(k) * shape(one, k) * shape(other, k)))
@@ -314,77 +294,24 @@ impl Fit {
     }
 }
 
+/// Scales of drops: the fit's errors count relative to them. A scale is the drop itself, but after the one before
+/// it falls by no less than A / n^1.5 and no more than B / n would. Later drops come from fewer pairs of
+/// samples. Relative to themselves, those that are low by chance would count most, and forecasts were too low
+/// by up to a quarter (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
+fn scales(drops: &[f64]) -> Vec<f64> {
+    let largest = drops.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let [steep, flat] = EXPONENTS.map(|exponent| libm::exp2(-exponent));
+    let mut before = None;
+    let scale = |drop: &f64| {
+        let own = (drop / largest).max(1e-6);
+        let scale = before.map_or(own, |before: f64| own.clamp(before * steep, before * flat));
+        before = Some(scale);
+        scale
+    };
+    drops.iter().map(scale).collect()
+}
+
 /// A linear combination of a pixel's drops.
 fn weighted(weights: &[f64], pixel: &PixelNoise) -> f64 {
     sum(weights.iter().zip(&pixel.drops).map(|(weight, drop)| weight * drop))
-}
-
-/// Strata that are estimated together, and the samples that stand for them.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NoiseGroup {
-    /// Indices of the strata. Each has at least one pixel in the image.
-    pub strata: Vec<usize>,
-    /// Indices of the samples: those of the strata, or all samples if these have fewer than two.
-    pub samples: Vec<usize>,
-}
-
-/// Groups the strata of an image so that every group has at least two samples where possible. `counts[h]` is
-/// the number of pixels of stratum h. Strata with fewer samples are joined by material, then into one last
-/// group, which may use all samples.
-///
-/// # Errors
-/// If the lengths of `strata` and `counts` differ, a sample names an unknown stratum, or there is no sample.
-pub fn noise_groups(
-    strata: &[Stratum],
-    counts: &[u32],
-    samples: &[NoiseSample],
-) -> Result<Vec<NoiseGroup>, ForecastError> {
-    if counts.len() != strata.len() {
-        return Err(ForecastError::CountsLength { frame: 0, counts: counts.len(), strata: strata.len() });
-    }
-    if samples.is_empty() {
-        return Err(ForecastError::NoSamples);
-    }
-    let mut own: Vec<Vec<usize>> = vec![Vec::new(); strata.len()];
-    for (index, NoiseSample { stratum, .. }) in samples.iter().enumerate() {
-        let unknown = ForecastError::UnknownStratum { stratum: *stratum, strata: strata.len() };
-        own.get_mut(*stratum as usize).ok_or(unknown)?.push(index);
-    }
-    let join = |members: &[usize]| NoiseGroup {
-        strata: members.to_vec(),
-        samples: members.iter().flat_map(|&h| own[h].iter().copied()).collect(),
-    };
-    let shown: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();
-    let (alone, few): (Vec<_>, Vec<_>) = shown.into_iter().partition(|&h| own[h].len() >= 2);
-    let mut groups: Vec<NoiseGroup> = alone.iter().map(|&h| join(&[h])).collect();
-    let mut materials: Vec<u32> = few.iter().map(|&h| strata[h].material).collect();
-    materials.sort_unstable();
-    materials.dedup();
-    let mut rest = Vec::new();
-    for material in materials {
-        let members: Vec<usize> = few.iter().copied().filter(|&h| strata[h].material == material).collect();
-        let group = join(&members);
-        if group.samples.len() >= 2 { groups.push(group) } else { rest.extend(members) }
-    }
-    if !rest.is_empty() {
-        let mut group = join(&rest);
-        if group.samples.len() < 2 {
-            group.samples = (0..samples.len()).collect();
-        }
-        groups.push(group);
-    }
-    Ok(groups)
-}
-
-/// The groups of [`noise_groups`] as cells with pixel counts and samples. Errors as there.
-pub fn noise_cells(
-    strata: &[Stratum],
-    counts: &[u32],
-    samples: &[NoiseSample],
-) -> Result<Vec<NoiseCell>, ForecastError> {
-    let cell = |group: NoiseGroup| NoiseCell {
-        pixels: group.strata.iter().map(|&h| u64::from(counts[h])).sum(),
-        samples: group.samples.iter().map(|&i| samples[i].noise.clone()).collect(),
-    };
-    Ok(noise_groups(strata, counts, samples)?.into_iter().map(cell).collect())
 }

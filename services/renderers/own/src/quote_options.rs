@@ -15,6 +15,8 @@ pub struct QuoteOptions {
     pub strategy: Strategy,
     /// CPU time that a denoiser takes for a pixel, nanoseconds. `None`: images keep their noise.
     pub denoiser_nanos_per_pixel: Option<u64>,
+    /// Whether pixels are scanned for the error of the image, beside those that are profiled for its cost.
+    pub scans: bool,
     /// Corrections of the quantiles from past jobs with the same renderer and class of features.
     pub corrections: Option<Corrections>,
 }
@@ -27,6 +29,7 @@ impl Default for QuoteOptions {
             seed: 0,
             strategy: Strategy::Snapshot,
             denoiser_nanos_per_pixel: None,
+            scans: false,
             corrections: None,
         }
     }

@@ -154,6 +154,8 @@ pub fn run(args: &Args, interrupt: &Interrupt) -> Result<()> {
         profile_frames: args.profile_frames.map(|frames| frames as usize),
         seed: args.phase_seed,
         strategy: args.strategy,
+        // The quote does not show the error of the image.
+        scans: false,
         corrections: match &args.calibration {
             Some(path) => Some(corrections(path, args.strategy, &local, &settings)?),
             None => None,

@@ -84,7 +84,7 @@ pub fn scaled(
         )
         .collect();
     let mut scaled = first.clone();
-    for sample in &mut scaled.samples {
+    for sample in scaled.samples.iter_mut().chain(&mut scaled.scanned) {
         for (k, drop) in sample.noise.drops.iter_mut().enumerate() {
             *drop *= ratios.get(k).or(ratios.last()).copied().unwrap_or(1.0);
         }

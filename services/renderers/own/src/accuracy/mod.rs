@@ -40,6 +40,7 @@ pub(crate) use pilot::Pilot;
 use crate::costs::seconds;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
+use crate::quote_options::QuoteOptions;
 use crate::shot::OwnShot;
 use denoising::{Chosen, Left};
 use forelight_forecast::Calibration;
@@ -87,7 +88,12 @@ pub fn predict(
             (_, false) => {}
         }
     }
-    let all = wanted.iter().map(|(_, rungs)| rungs.len()).sum();
+    let rungs = || wanted.iter().flat_map(|(_, rungs)| rungs);
+    let mut kinds: Vec<_> = rungs().map(kind_of_noise).collect();
+    kinds.sort_unstable_by_key(|&(integrator, cache)| (integrator as u8, cache as u8));
+    kinds.dedup();
+    // Tiles to denoise are chosen once, and tried for each kind of noise.
+    let all = rungs().count() + options.denoise.map_or(0, |_| 1 + kinds.len());
     let mut prediction =
         Prediction { missing, all, ..Prediction::new(shot, frame, asked, options, observer) };
     for (kind, rungs) in wanted {
@@ -146,7 +152,6 @@ impl<'a> Prediction<'a> {
             if is_cancelled(self.observer) {
                 return Err(ShotError::Cancelled);
             }
-            self.done += 1;
             let is_dear = || {
                 let (first, other) = (self.gathers_asked_for(), piloted(settings));
                 is_too_dear(self.options.samples, LEAST_SAMPLES, &first, &other)
@@ -161,7 +166,7 @@ impl<'a> Prediction<'a> {
             };
             if let Some(reason) = left_out {
                 self.missing.push(MissingLadder { ladder: kind, reason });
-                self.observer.predicted(self.done, self.all);
+                self.step();
                 continue;
             }
             let like = match kind {
@@ -194,9 +199,14 @@ impl<'a> Prediction<'a> {
                 next: None,
                 measured: None,
             });
-            self.observer.predicted(self.done, self.all);
+            self.step();
         }
         Ok(())
+    }
+
+    fn step(&mut self) {
+        self.done += 1;
+        self.observer.predicted(self.done, self.all);
     }
 
     fn pilot(&mut self, settings: &RenderSettings) -> Result<usize, ShotError> {
@@ -217,7 +227,9 @@ impl<'a> Prediction<'a> {
             }
             _ => self.options.samples,
         };
-        let options = AccuracyOptions { samples, ..*self.options };
+        // The noise of a pilot that is compared to another follows from that one's.
+        let (seed, scans) = (self.options.seed, known.is_none());
+        let options = QuoteOptions { samples, seed, scans, ..QuoteOptions::default() };
         let mut pilot = Pilot::new(self.shot, &ready, settings, &options, self.observer)?;
         if let Some(first) = known.map(|known| &self.pilots[known]) {
             if pilot.settings.cache == CacheMode::Off {
@@ -241,8 +253,7 @@ impl<'a> Prediction<'a> {
     /// What a denoiser leaves of the noise of settings like a pilot's: the place in [`Self::left`].
     fn left(&mut self, pilot: usize, by: DenoiseBy<'_>) -> Result<usize, ShotError> {
         let asked = self.pilot(self.asked)?;
-        let pilot = &self.pilots[pilot];
-        let kind = (pilot.settings.integrator, pilot.settings.cache);
+        let kind = kind_of_noise(&self.pilots[pilot].settings);
         if let Some(known) = self.left.iter().position(|(known, _)| *known == kind) {
             return Ok(known);
         }
@@ -253,9 +264,11 @@ impl<'a> Prediction<'a> {
                 let (chosen, spent) =
                     denoising::choose(shot, self.frame, self.asked, seed, by, self.observer)?;
                 self.spent = self.spent.plus(spent);
+                self.step();
                 chosen
             }
         };
+        let pilot = &self.pilots[pilot];
         let ready = self.shot.frame(self.frame, &pilot.settings)?;
         let noise = |spp: u32| Ok(pilot.noisy(&pilot.view, spp)?.noise.p50);
         // The mean of few pixels is less sure than its ratio for two kinds of settings on the same pixels.
@@ -266,6 +279,7 @@ impl<'a> Prediction<'a> {
         self.spent = self.spent.plus(ready.spent_on_setup()).plus(ready.fixed().plan).plus(spent);
         self.tiles = Some(chosen);
         self.left.push((kind, left));
+        self.step();
         Ok(self.left.len() - 1)
     }
 
@@ -312,6 +326,11 @@ impl<'a> Prediction<'a> {
         mark(&mut document);
         document
     }
+}
+
+/// Settings of a kind keep about the same share of their noise when it is removed.
+fn kind_of_noise(settings: &RenderSettings) -> (Integrator, CacheMode) {
+    (settings.integrator, settings.cache)
 }
 
 fn too_large(settings: &RenderSettings, asked: &RenderSettings) -> Option<String> {

@@ -1,7 +1,7 @@
 //! A pilot: profiled pixels of one kind of setting.
 
 use crate::accuracy::denoising::Noisy;
-use crate::accuracy::observer::{AccuracyObserver, AccuracyOptions, is_cancelled};
+use crate::accuracy::observer::{AccuracyObserver, is_cancelled};
 use crate::answers::Previewed;
 use crate::costs::cost_of_record;
 use crate::error::{RenderError, ShotError};
@@ -84,12 +84,11 @@ impl Pilot {
         shot: &OwnShot,
         ready: &OwnFrame<'_>,
         settings: RenderSettings,
-        options: &AccuracyOptions<'_>,
+        options: &QuoteOptions,
         observer: &dyn AccuracyObserver,
     ) -> Result<Self, ShotError> {
         let strata = &shot.info().strata;
-        let picked = QuoteOptions { samples: options.samples, seed: options.seed, ..QuoteOptions::default() };
-        let (profiled, seen) = profile_ready(ready, strata, &settings, &picked, &Watching(observer))?;
+        let (profiled, seen) = profile_ready(ready, strata, &settings, options, &Watching(observer))?;
         Ok(Self::of(shot, ready, settings, &profiled, &seen))
     }
 
@@ -107,12 +106,13 @@ impl Pilot {
         let by_samples = |pixel: &Pixel| pixel.work.saturating_sub(pixel.extra_work);
         let traced: BTreeMap<u32, u64> =
             profiled.traced.iter().map(|(index, pixel)| (*index, by_samples(pixel))).collect();
-        let overhead = profiled.pixels.plus(profiled.preview);
+        let overhead = profiled.pixels.plus(profiled.scan).plus(profiled.preview);
         let noise = profiled.noise.clone().unwrap_or_else(|| FrameNoise {
             counts: view.noise_counts.clone(),
             pixels: Vec::new(),
             samples: Vec::new(),
             scattered: 0,
+            scanned: Vec::new(),
         });
         let work = |pixel: &u32| traced.get(pixel).copied().unwrap_or_default();
         Self {
@@ -280,7 +280,7 @@ mod tests {
         let request = RenderSettingsRequest { spp: Some(4), ..RenderSettingsRequest::default() };
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
-        let options = AccuracyOptions { samples: 256, seed: 2, denoise: None };
+        let options = QuoteOptions { samples: 256, seed: 2, ..QuoteOptions::default() };
         let pilot = Pilot::new(&shot, &ready, settings.clone(), &options, &nobody).unwrap();
         for (width, height) in [(16, 9), (8, 5)] {
             let settings = RenderSettings { width, height, ..settings.clone() };
@@ -299,7 +299,7 @@ mod tests {
     #[test]
     fn views_of_a_few_pixels_have_a_price_whatever_was_profiled() {
         let (shot, nobody) = (kitchen(), Nobody::default());
-        let options = AccuracyOptions { samples: 16, seed: 2, denoise: None };
+        let options = QuoteOptions { samples: 16, seed: 2, scans: true, ..QuoteOptions::default() };
         let sizes = [(1, 1), (2, 2), (3, 1), (5, 3)].map(|(width, height)| RenderSettings {
             width,
             height,
@@ -340,7 +340,7 @@ mod tests {
         let settings = request.complete((32, 18));
         let ready = shot.frame(0, &settings).unwrap();
         // All pixels: what remains is the error of few records and of later samples.
-        let options = AccuracyOptions { samples: 32 * 18, seed: 2, denoise: None };
+        let options = QuoteOptions { samples: 32 * 18, seed: 2, ..QuoteOptions::default() };
         let pilot = Pilot::new(&shot, &ready, settings.clone(), &options, &nobody).unwrap();
         assert!(pilot.extra_work.iter().sum::<u64>() > 0);
         for spp in [1, 4, 16, 128] {

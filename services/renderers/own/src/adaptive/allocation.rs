@@ -5,7 +5,7 @@
 //! and, with a time limit, the first pass. Later passes follow the image, which shows where on a wall the bright
 //! spot is ([`crate::adaptive::tiles`]). An irradiance cache is filled first, since the time left depends on it.
 
-use crate::accuracy::{AccuracyObserver, AccuracyOptions, Pilot, piloted};
+use crate::accuracy::{AccuracyObserver, Pilot, piloted};
 use crate::adaptive::allotment::Allotment;
 use crate::adaptive::error_target::ErrorAim;
 use crate::adaptive::made::{AllotError, Allotted};
@@ -13,6 +13,7 @@ use crate::adaptive::passes::{PassPlan, render_in_passes};
 use crate::adaptive::time_limit::{Budget, fits_the_cache, render_within};
 use crate::answers::Progress;
 use crate::error::{RenderError, ShotError};
+use crate::quote_options::QuoteOptions;
 use crate::render::{Given, render_ready};
 use crate::shot::OwnShot;
 use forelight_forecast::ForecastError;
@@ -80,7 +81,8 @@ pub fn render_allotted(
     if !ready.fill(progress, observer.cancel()) {
         return Ok(None);
     }
-    let picked = AccuracyOptions { samples: options.samples, seed: options.seed, denoise: None };
+    let AllotOptions { samples, seed, .. } = *options;
+    let picked = QuoteOptions { samples, seed, scans: true, ..QuoteOptions::default() };
     let pilot = match Pilot::new(shot, &ready, settings.clone(), &picked, observer) {
         Err(ShotError::Cancelled) => return Ok(None),
         pilot => pilot?,

@@ -4,6 +4,7 @@
 //! and estimates. Offline, [`crate::quote()`] does all of it.
 
 pub(crate) mod noise;
+mod scan;
 pub(crate) mod strata;
 pub(crate) mod warm_clock;
 pub(crate) mod work_classes;
@@ -13,6 +14,7 @@ use crate::costs::{cost_of, spent};
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::profile::noise::{FrameNoise, Zones};
+use crate::profile::scan::scan;
 use crate::profile::strata::forecast_strata;
 use crate::profile::work_classes::of_frame;
 use crate::quote_options::QuoteOptions;
@@ -132,6 +134,8 @@ pub struct ProfiledFrame {
     pub preview: Spent,
     /// Cost of all traced pixels.
     pub pixels: Spent,
+    /// Cost of the scanned pixels.
+    pub scan: Spent,
     /// Noise of profiled pixels and edges of lights. `None` with an irradiance cache that was not filled.
     pub noise: Option<FrameNoise>,
     /// The preview as a picture.
@@ -145,7 +149,7 @@ impl ProfiledFrame {
     pub fn spent(&self) -> Spent {
         let gathered = self.records.iter().map(|record| spent(record.cost));
         let cache = gathered.fold(self.fixed.plan, Spent::plus);
-        self.setup.plus(self.preview).plus(self.pixels).plus(cache)
+        self.setup.plus(self.preview).plus(self.pixels).plus(self.scan).plus(cache)
     }
 
     /// The part of it that sampled records of the deepest level cost. It was spent before if the cache was
@@ -159,7 +163,7 @@ impl ProfiledFrame {
     /// The part of it that a render cannot reuse. Traced pixels can be reused without an irradiance cache.
     /// With one, its plan and the gathered records of the deepest level can.
     pub fn spent_for_good(&self) -> Spent {
-        let again = self.setup.plus(self.preview);
+        let again = self.setup.plus(self.preview).plus(self.scan);
         if self.profile.cache.is_none() {
             return again;
         }
@@ -278,13 +282,18 @@ pub(crate) fn profile_ready(
     traced.observe(&design.first_phase(), &ids, &trace)?;
     traced.observe(&design.second_phase(&traced.observations)?, &ids, &trace)?;
     let neighbours = traced.warm_clock(ready, design.counts(), &stop).ok_or(ShotError::Cancelled)?;
-    let mut noise = None;
+    let (mut noise, mut scan_cost) = (None, Spent::default());
     if ready.has_final_colours() {
         let zones = Zones::new(ready, &seen.preview);
         traced.observe_edges(&zones, &trace)?;
         let scattered = traced.noise.len();
         traced.noise.extend(neighbours);
-        noise = Some(zones.noise(traced.noise, scattered));
+        let mut scanned = Vec::new();
+        if options.scans {
+            (scanned, scan_cost) =
+                scan(ready, traced.noise.len(), seed, &stop).ok_or(ShotError::Cancelled)?;
+        }
+        noise = Some(zones.noise(traced.noise, scattered, scanned));
     }
     if stop() {
         return Err(ShotError::Cancelled);
@@ -321,6 +330,7 @@ pub(crate) fn profile_ready(
         setup,
         preview: seen.spent,
         pixels,
+        scan: scan_cost,
         noise,
         picture: forelight_preview::picture(&seen.preview, ready.frame()),
         scene: ready.frame().clone(),

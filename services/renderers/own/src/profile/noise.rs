@@ -1,4 +1,4 @@
-//! The image's error by stratum, from profiled pixels.
+//! The image's error by stratum, from profiled and scanned pixels.
 //!
 //! The strata are those of cost, and one more: pixels where a light, or the bright outside, borders on
 //! something else. They are few, and may hold most of the error of an image of few samples. The preview knows
@@ -6,12 +6,12 @@
 //!
 //! Errors have heavier tails than costs: one sample in ten thousand that meets a lamp via rough steel may
 //! outweigh the rest of its stratum. So the blocks of neighbours that are traced for their time (see
-//! `warm_clock`) are used too, which gives four times as many pixels.
+//! `warm_clock`) are used too, which gives four times as many pixels. Still more pixels are scanned (see `scan`).
 
 use crate::answers::StratumInfo;
 use crate::frame::OwnFrame;
 use crate::profile::strata::forecast_strata;
-use forelight_forecast::accuracy::{NoiseCell, NoiseSample, PixelNoise, noise_cells};
+use forelight_forecast::accuracy::{NoiseCell, NoiseGroup, NoiseSample, PixelNoise, Sampled};
 use forelight_forecast::{ForecastError, Stratum};
 use forelight_preview::{NOTHING, Preview};
 use forelight_protocol::RenderSettings;
@@ -20,7 +20,7 @@ use std::collections::BTreeSet;
 /// Profiled pixels per pixel at the edge of a light.
 const SAMPLES_PER_EDGE: usize = 4;
 
-/// The profiled pixels of a frame, with their noise.
+/// The profiled and scanned pixels of a frame, with their noise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameNoise {
     /// All pixels by stratum of [`forecast_strata`], without edges of lights, and then these edges.
@@ -31,6 +31,8 @@ pub struct FrameNoise {
     pub samples: Vec<NoiseSample>,
     /// The first pixels, this many, are scattered over the image. The others are blocks of neighbours.
     pub scattered: usize,
+    /// Noise of the scanned pixels.
+    pub scanned: Vec<NoiseSample>,
 }
 
 /// The strata of a frame's error.
@@ -46,7 +48,22 @@ impl FrameNoise {
     /// # Errors
     /// If the strata do not match the frame.
     pub fn cells(&self, strata: &[Stratum], counts: &[u32]) -> Result<Vec<NoiseCell>, ForecastError> {
-        noise_cells(strata, counts, &self.samples)
+        let groups = self.sampled().groups(strata, counts)?;
+        Ok(self.sampled().cells(&groups, counts).concat())
+    }
+
+    /// Groups of strata of this frame, and the noise cells of each.
+    ///
+    /// # Errors
+    /// If the strata do not match the frame.
+    pub fn groups(&self, strata: &[Stratum]) -> Result<Vec<(NoiseGroup, Vec<NoiseCell>)>, ForecastError> {
+        let groups = self.sampled().groups(strata, &self.counts)?;
+        let cells = self.sampled().cells(&groups, &self.counts);
+        Ok(groups.into_iter().zip(cells).collect())
+    }
+
+    fn sampled(&self) -> Sampled<'_> {
+        Sampled { profiled: &self.samples, scattered: self.scattered, scanned: &self.scanned }
     }
 
     /// The pixels that are scattered over the image.
@@ -61,7 +78,7 @@ impl FrameNoise {
         // The middle of each of `count` equal parts.
         let picks = (0..count).map(|i| (2 * i + 1) * self.scattered / (2 * count));
         let (pixels, samples) = picks.map(|i| (self.pixels[i], self.samples[i].clone())).unzip();
-        Self { counts: self.counts.clone(), pixels, samples, scattered: count }
+        Self { counts: self.counts.clone(), pixels, samples, scattered: count, scanned: Vec::new() }
     }
 
     /// The scattered pixels alone, with other noise, in their order.
@@ -74,6 +91,7 @@ impl FrameNoise {
             pixels: self.scattered_pixels().to_vec(),
             samples: samples.collect(),
             scattered: self.scattered,
+            scanned: Vec::new(),
         }
     }
 
@@ -139,12 +157,17 @@ impl Zones {
         shown.map(|(pixel, _)| pixel).collect()
     }
 
-    /// Noise of traced pixels of this frame.
-    pub fn noise(&self, traced: impl IntoIterator<Item = (u32, PixelNoise)>, scattered: usize) -> FrameNoise {
-        let (pixels, samples) = traced
-            .into_iter()
-            .map(|(pixel, noise)| (pixel, NoiseSample { stratum: self.stratum[pixel as usize], noise }))
-            .unzip();
-        FrameNoise { counts: self.counts.clone(), pixels, samples, scattered }
+    /// Noise of traced and of scanned pixels of this frame. The first traced pixels are scattered.
+    pub fn noise(
+        &self,
+        traced: impl IntoIterator<Item = (u32, PixelNoise)>,
+        scattered: usize,
+        scanned: impl IntoIterator<Item = (u32, PixelNoise)>,
+    ) -> FrameNoise {
+        let sample = |(pixel, noise): (u32, _)| NoiseSample { stratum: self.stratum[pixel as usize], noise };
+        let (pixels, samples) =
+            traced.into_iter().map(|(pixel, noise)| (pixel, sample((pixel, noise)))).unzip();
+        let scanned = scanned.into_iter().map(sample).collect();
+        FrameNoise { counts: self.counts.clone(), pixels, samples, scattered, scanned }
     }
 }

@@ -140,6 +140,7 @@ fn profile(
         samples: spec.samples,
         seed: spec.phase_seed,
         denoiser_nanos_per_pixel: denoising.map(|denoising| denoising.nanos_per_pixel),
+        scans: true,
         ..QuoteOptions::default()
     };
     let share = if spec.ladders { WITHOUT_LADDERS } else { 1.0 };
