@@ -15,7 +15,7 @@ use crate::error::ForecastError;
 use crate::moments::sum;
 use crate::strata::Stratum;
 
-/// A profiled pixel with the statistics of its camera samples.
+/// A profiled or scanned pixel with the statistics of its camera samples.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseSample {
     /// Index of the pixel's stratum.
@@ -24,7 +24,8 @@ pub struct NoiseSample {
     pub noise: PixelNoise,
 }
 
-/// A set of pixels and the sampled ones among them, of which each was equally likely to be sampled.
+/// A set of pixels and the sampled ones among them. Each was equally likely to be sampled, or values are weighted
+/// ([`Sampled::cells`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseCell {
     /// Number of pixels in the set.
@@ -111,7 +112,7 @@ impl Sampled<'_> {
     /// # Panics
     /// If the groups are not those of [`Self::groups`] with these counts.
     pub fn cells(self, groups: &[NoiseGroup], counts: &[u32]) -> Vec<Vec<NoiseCell>> {
-        let phases = |group: &NoiseGroup| {
+        let of_group = |group: &NoiseGroup| {
             let is_scattered =
                 |i: usize| i < self.scattered && group.strata.contains(&(self.profiled[i].stratum as usize));
             Phases {
@@ -121,7 +122,7 @@ impl Sampled<'_> {
                 scanned: group.scanned.iter().map(|&i| self.scanned[i].noise.clone()).collect(),
             }
         };
-        let phases: Vec<Phases> = groups.iter().map(phases).collect();
+        let phases: Vec<Phases> = groups.iter().map(of_group).collect();
         let seen = self.scanned.iter().map(|pixel| pixel.noise.drops.len()).min().unwrap_or(0);
         let total =
             |of: &dyn Fn(&Phases) -> f64| sum(phases.iter().map(|group| group.pixels as f64 * of(group)));
