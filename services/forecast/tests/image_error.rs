@@ -31,7 +31,7 @@ fn cells(
     scanned: &[NoiseSample],
 ) -> Result<Vec<NoiseCell>, ForecastError> {
     let sampled = Sampled { profiled, scattered: profiled.len(), scanned };
-    Ok(sampled.cells(&sampled.groups(strata, counts)?, counts).concat())
+    Ok(sampled.groups(strata, counts)?.into_iter().flat_map(|group| group.cells).collect())
 }
 
 /// Half of the pixels of mean 1 and deviation 0.5, half of mean 3 and deviation 2.
@@ -177,7 +177,8 @@ fn the_first_drops_are_means_of_all_pixels_and_the_later_ones_those_of_profiled_
     scanned.push(flat(1, 4.0, &[0.0, 8.0]));
     let sampled = Sampled { profiled: &profiled, scattered: 4, scanned: &scanned };
     for counts in [[6000, 4000], [3, 2]] {
-        let found = sampled.cells(&sampled.groups(&strata, &counts).unwrap(), &counts).concat();
+        let groups = sampled.groups(&strata, &counts).unwrap();
+        let found: Vec<NoiseCell> = groups.into_iter().flat_map(|group| group.cells).collect();
         assert_eq!(found.iter().map(|cell| cell.pixels).sum::<u64>(), u64::from(counts[0] + counts[1]));
         let image = ImageNoise::new(found).unwrap();
         // Weights of the strata are 0.6 and 0.4.

@@ -38,13 +38,14 @@ pub struct Zone {
 }
 
 impl Zone {
-    /// Builds a zone of `image` from its cells ([`super::Sampled::cells`]) and the costs of its profiled
-    /// pixels at `spp` camera samples. Its curve is shrunk towards that of the whole image.
+    /// Builds a zone of an image from its cells ([`super::NoiseGroup::cells`]) and the costs of its profiled
+    /// pixels at `spp` camera samples. Its curve is shrunk towards that of the whole image, which stands beside
+    /// the image ([`ImageNoise::curve`]).
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if a cell or `costs` is empty.
     pub fn new(
-        image: &ImageNoise,
+        (image, of_image): (&ImageNoise, [f64; 2]),
         cells: &[NoiseCell],
         costs: &[f64],
         spp: u32,
@@ -54,7 +55,6 @@ impl Zone {
         }
         let pixels = sum(cells.iter().map(|cell| cell.pixels as f64));
         let count = cells.iter().map(|cell| cell.samples.len()).sum::<usize>() as f64;
-        let of_image = image.curve();
         let variance = [0, 1].map(|which| {
             let mean = |cell: &NoiseCell| {
                 let curves = cell.samples.iter().map(|pixel| image.curve_of(pixel)[which]);

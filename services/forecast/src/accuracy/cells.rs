@@ -25,7 +25,7 @@ pub struct NoiseSample {
 }
 
 /// A set of pixels and the sampled ones among them. Each was equally likely to be sampled, or values are weighted
-/// ([`Sampled::cells`]).
+/// ([`NoiseGroup::cells`]).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NoiseCell {
     /// Number of pixels in the set.
@@ -35,14 +35,17 @@ pub struct NoiseCell {
 }
 
 /// Strata that are estimated together, and the samples that stand for them.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct NoiseGroup {
     /// Indices of the strata. Each has at least one pixel in the image.
     pub strata: Vec<usize>,
     /// Indices of the profiled pixels: those of the strata, or all if these have fewer than two.
     pub samples: Vec<usize>,
-    /// Indices of the scanned pixels of the strata.
-    pub scanned: Vec<usize>,
+    /// One cell of profiled pixels or, where pixels were scanned, one of profiled and one of scanned pixels, for
+    /// half of the group's pixels each. Values of these are weighted: the mean of both cells is the estimate. A
+    /// scattered pixel counts as a scanned one for brightness and first drops. Later drops rest on all profiled
+    /// pixels alone, and so does their uncertainty.
+    pub cells: Vec<NoiseCell>,
 }
 
 /// Pixels of an image whose noise was measured.
@@ -76,14 +79,14 @@ impl Sampled<'_> {
         let of = |all: &[Vec<usize>], members: &[usize]| -> Vec<usize> {
             members.iter().flat_map(|&h| all[h].iter().copied()).collect()
         };
-        let join = |members: &[usize]| NoiseGroup {
+        let join = |members: &[usize]| Joined {
             strata: members.to_vec(),
             samples: of(&own, members),
             scanned: of(&scanned, members),
         };
         let shown: Vec<usize> = (0..strata.len()).filter(|&h| counts[h] > 0).collect();
         let (alone, few): (Vec<_>, Vec<_>) = shown.into_iter().partition(|&h| own[h].len() >= 2);
-        let mut groups: Vec<NoiseGroup> = alone.iter().map(|&h| join(&[h])).collect();
+        let mut groups: Vec<Joined> = alone.iter().map(|&h| join(&[h])).collect();
         let mut materials: Vec<u32> = few.iter().map(|&h| strata[h].material).collect();
         materials.sort_unstable();
         materials.dedup();
@@ -101,18 +104,11 @@ impl Sampled<'_> {
             }
             groups.push(group);
         }
-        Ok(groups)
+        Ok(self.with_cells(groups, counts))
     }
 
-    /// Cells of each of these groups: one of profiled pixels or, where pixels were scanned, one of profiled
-    /// and one of scanned pixels, for half of the group's pixels each. Values of these are weighted: the mean of
-    /// both cells is the estimate. A scattered pixel counts as a scanned one for brightness and first drops. Later
-    /// drops rest on all profiled pixels alone, and so does their uncertainty.
-    ///
-    /// # Panics
-    /// If the groups are not those of [`Self::groups`] with these counts.
-    pub fn cells(self, groups: &[NoiseGroup], counts: &[u32]) -> Vec<Vec<NoiseCell>> {
-        let of_group = |group: &NoiseGroup| {
+    fn with_cells(self, groups: Vec<Joined>, counts: &[u32]) -> Vec<NoiseGroup> {
+        let of_group = |group: &Joined| {
             let is_scattered =
                 |i: usize| i < self.scattered && group.strata.contains(&(self.profiled[i].stratum as usize));
             Phases {
@@ -128,8 +124,20 @@ impl Sampled<'_> {
             |of: &dyn Fn(&Phases) -> f64| sum(phases.iter().map(|group| group.pixels as f64 * of(group)));
         let profiled = total(&|group| mean(group.profiled.iter().map(|pixel| first_drops(pixel, seen))));
         let ratio = if profiled > 0.0 { total(&|group| group.first_drops(seen)) / profiled } else { 1.0 };
-        phases.into_iter().map(|group| group.cells(seen, ratio)).collect()
+        let whole = |(group, phases): (Joined, Phases)| NoiseGroup {
+            strata: group.strata,
+            samples: group.samples,
+            cells: phases.cells(seen, ratio),
+        };
+        groups.into_iter().zip(phases).map(whole).collect()
     }
+}
+
+/// The strata of a group, and the indices of its profiled and its scanned pixels.
+struct Joined {
+    strata: Vec<usize>,
+    samples: Vec<usize>,
+    scanned: Vec<usize>,
 }
 
 /// The pixels of a group by how they were sampled.

@@ -4,7 +4,7 @@ use crate::accuracy::Pilot;
 use crate::costs::seconds;
 use crate::error::{RenderError, ShotError};
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, Zone, cost, samples_for_variance, whole};
-use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseCell, NoiseGroup};
+use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup};
 use forelight_forecast::{Calibration, ForecastError};
 use forelight_protocol::{AllottedForecast, Confidence, Quantiles, SamplesForError};
 use forelight_tracer::SampleCounts;
@@ -36,10 +36,9 @@ impl<'a> Allotment<'a> {
         let (double_work, double_seconds) = pilot.cost(&pilot.view, 2 * spp)?;
         let pixel_work = double_work.mean - work.mean;
         let noise = &pilot.noise;
-        let groups = noise.groups(&pilot.noise_strata)?;
-        let image = ImageNoise::new(groups.iter().flat_map(|(_, cells)| cells.iter().cloned()).collect())?;
+        let groups = noise.groups(&pilot.noise_strata, &noise.counts)?;
+        let image = ImageNoise::new(groups.iter().flat_map(|group| group.cells.iter().cloned()).collect())?;
         let zones = zones(pilot, &image, &groups)?;
-        let groups: Vec<NoiseGroup> = groups.into_iter().map(|(group, _)| group).collect();
         let scattered = |group: NoiseGroup| -> Vec<usize> {
             group.samples.into_iter().filter(|&i| i < noise.scattered).collect()
         };
@@ -136,14 +135,11 @@ impl<'a> Allotment<'a> {
     }
 }
 
-fn zones(
-    pilot: &Pilot,
-    image: &ImageNoise,
-    groups: &[(NoiseGroup, Vec<NoiseCell>)],
-) -> Result<Vec<Zone>, ForecastError> {
-    let zone = |(group, cells): &(NoiseGroup, Vec<NoiseCell>)| {
+fn zones(pilot: &Pilot, image: &ImageNoise, groups: &[NoiseGroup]) -> Result<Vec<Zone>, ForecastError> {
+    let of_image = image.curve();
+    let zone = |group: &NoiseGroup| {
         let work: Vec<f64> = group.samples.iter().map(|&i| pilot.pixel_work[i] as f64).collect();
-        Zone::new(image, cells, &work, pilot.settings.spp)
+        Zone::new((image, of_image), &group.cells, &work, pilot.settings.spp)
     };
     groups.iter().map(zone).collect()
 }

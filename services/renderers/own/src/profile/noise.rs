@@ -48,22 +48,16 @@ impl FrameNoise {
     /// # Errors
     /// If the strata do not match the frame.
     pub fn cells(&self, strata: &[Stratum], counts: &[u32]) -> Result<Vec<NoiseCell>, ForecastError> {
-        let groups = self.sampled().groups(strata, counts)?;
-        Ok(self.sampled().cells(&groups, counts).concat())
+        Ok(self.groups(strata, counts)?.into_iter().flat_map(|group| group.cells).collect())
     }
 
-    /// Groups of strata of this frame, and the noise cells of each.
+    /// The same by groups of strata.
     ///
     /// # Errors
     /// If the strata do not match the frame.
-    pub fn groups(&self, strata: &[Stratum]) -> Result<Vec<(NoiseGroup, Vec<NoiseCell>)>, ForecastError> {
-        let groups = self.sampled().groups(strata, &self.counts)?;
-        let cells = self.sampled().cells(&groups, &self.counts);
-        Ok(groups.into_iter().zip(cells).collect())
-    }
-
-    fn sampled(&self) -> Sampled<'_> {
-        Sampled { profiled: &self.samples, scattered: self.scattered, scanned: &self.scanned }
+    pub fn groups(&self, strata: &[Stratum], counts: &[u32]) -> Result<Vec<NoiseGroup>, ForecastError> {
+        let Self { samples: profiled, scattered, scanned, .. } = self;
+        Sampled { profiled, scattered: *scattered, scanned }.groups(strata, counts)
     }
 
     /// The pixels that are scattered over the image.

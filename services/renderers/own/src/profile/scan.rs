@@ -5,8 +5,9 @@
 use crate::costs::spent;
 use crate::frame::OwnFrame;
 use forelight_forecast::accuracy::{PixelNoise, PixelSamples};
+use forelight_forecast::probes;
 use forelight_protocol::Spent;
-use forelight_random::{Random, hash};
+use forelight_random::hash;
 use forelight_tracer::Pixel;
 
 /// Most camera samples of a scanned pixel: three doublings. (Six rooms at 240 × 135, 16 seeds, the same number of
@@ -15,7 +16,7 @@ use forelight_tracer::Pixel;
 const SAMPLES: u32 = 8;
 
 /// Most pixels to scan. They have at most as many camera samples as all profiled pixels.
-const MOST: usize = 2048;
+const MOST: u64 = 2048;
 
 /// Scans a frame of which `profiled` pixels were profiled. Returns the noise of scanned pixels, and their cost.
 /// There are none if pixels have a single camera sample, or half of them were profiled. `None` if `stop` returned
@@ -27,14 +28,16 @@ pub fn scan(
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Option<(Vec<(u32, PixelNoise)>, Spent)> {
     let spp = ready.tracer.settings().spp;
-    let (samples, pixels) = (SAMPLES.min(spp), ready.frame().camera.pixels());
-    if samples < 2 || 2 * profiled >= pixels {
+    // At most the pixels of an image.
+    let (samples, pixels) = (SAMPLES.min(spp), ready.frame().camera.pixels() as u32);
+    if samples < 2 || 2 * profiled as u64 >= u64::from(pixels) {
         return Some((Vec::new(), Spent::default()));
     }
-    let count = (profiled as u64 * u64::from(spp) / u64::from(samples)).min(MOST as u64) as usize;
+    let count = (profiled as u64 * u64::from(spp) / u64::from(samples)).min(MOST) as u32;
     // Other pixels in each frame: the errors of frames are taken as independent.
     let seed = hash(seed ^ hash(u64::from(ready.frame().number)));
-    let pixels = spread(pixels, count, seed);
+    // One pixel at random in each of so many runs of pixels.
+    let pixels: Vec<u32> = probes(pixels, count, seed).into_iter().map(|probe| probe.at).collect();
     let (traced, cost) = ready.tracer.first_samples(&pixels, samples, stop)?;
     let noise = pixels.into_iter().zip(traced).map(|(pixel, after)| (pixel, noise_of(&after)));
     Some((noise.collect(), spent(cost)))
@@ -50,19 +53,6 @@ fn noise_of(after: &[Pixel]) -> PixelNoise {
         before = sum;
     }
     samples.noise()
-}
-
-/// At most `count` pixels of an image in ascending order: one at random in each of so many parts of about the same
-/// size.
-fn spread(pixels: usize, count: usize, seed: u64) -> Vec<u32> {
-    let mut random = Random::new(seed);
-    let parts = count.min(pixels);
-    let begin = |part: usize| (part as u64 * pixels as u64 / parts as u64) as u32;
-    let pixel = |part: usize| {
-        let size = begin(part + 1) - begin(part);
-        begin(part) + ((random.uniform() * f64::from(size)) as u32).min(size - 1)
-    };
-    (0..parts).map(pixel).collect()
 }
 
 #[cfg(test)]
@@ -81,20 +71,10 @@ mod tests {
             let (scanned, cost) = scan(&ready, 100, 1, &goes_on).unwrap();
             assert_eq!((scanned.len(), cost.work > 0), (pixels, spp > 1), "{spp}");
             assert!(scanned.iter().all(|(_, noise)| noise.drops.len() == doublings), "{spp}");
+            assert!(scanned.is_sorted_by(|a, b| a.0 < b.0), "each pixel once");
             // Half of the image was profiled.
             assert_eq!(scan(&ready, 64 * 18, 1, &goes_on).unwrap(), (Vec::new(), Spent::default()));
             assert_eq!(scan(&ready, 100, 1, &|| true).is_none(), spp > 1);
-        }
-    }
-
-    #[test]
-    fn scanned_pixels_are_spread_over_the_image_each_once() {
-        for (pixels, count) in [(1, 5), (7, 7), (1000, 999), (2500, 2048), (100_000, 4096), (5, 0)] {
-            let spread = spread(pixels, count, 3);
-            assert_eq!(spread.len(), count.min(pixels));
-            assert!(spread.is_sorted_by(|a, b| a < b), "{pixels}, {count}");
-            let middle = spread.iter().filter(|&&pixel| (pixel as usize) < pixels / 2).count();
-            assert!(middle.abs_diff(spread.len() / 2) <= 1, "{pixels}, {count}: {middle}");
         }
     }
 
