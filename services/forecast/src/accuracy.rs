@@ -8,6 +8,7 @@
 //! | --- | --- |
 //! | `pixel` | the variance of one pixel at any number of samples, from its own camera samples |
 //! | `variance_curve` | how the variance of a pixel falls with the number of its samples |
+//! | `variance_fit` | fits that fall to what was sampled |
 //! | `cells` | which sampled pixels stand for which pixels of an image |
 //! | `image` | the error of the whole image, from some pixels |
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
@@ -29,6 +30,7 @@ mod pixel;
 mod sampled_pixel;
 mod survey;
 mod variance_curve;
+mod variance_fit;
 
 pub use cells::{NoiseCell, NoiseGroup, NoiseSample, Sampled};
 pub use front::{Point, Step, front, front_of_known};
@@ -36,3 +38,4 @@ pub use image::{ErrorQuantiles, ImageNoise, MeanSquare};
 pub use pixel::{PixelNoise, PixelSamples};
 pub use sampled_pixel::SampledPixel;
 pub use survey::Survey;
+pub use variance_curve::Terms;

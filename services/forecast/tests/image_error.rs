@@ -82,6 +82,45 @@ fn samples_that_make_up_for_each_other_are_known_to_converge_faster() {
 }
 
 #[test]
+fn variances_that_fall_by_the_law_are_forecast_beyond_what_was_sampled() {
+    // Smooth light, edges, and light found by chance: A / n² + B / n^1.5 + C / n.
+    let laws = [
+        ([1.0, 0.0, 0.0], 1.2),
+        ([1.0, 0.0, 0.02], 1.15),
+        ([1.0, 0.1, 0.01], 1.2),
+        ([0.0, 1.0, 0.0], 1.2),
+        ([0.0, 1.0, 0.2], 1.1),
+        ([0.0, 0.0, 1.0], 1.05),
+    ];
+    for ([smooth, edge, random], times) in laws {
+        let law = |n: f64| smooth / (n * n) + edge / (n * n.sqrt()) + random / n;
+        let drops: Vec<f64> = (0..4).map(|k| law(f64::from(1 << k)) - law(f64::from(2 << k))).collect();
+        // The pixels of the cell differ by a factor of up to three.
+        let pixel = |i: usize| {
+            let factor = 0.5 + (i % 5) as f64 / 4.0;
+            let drops = drops.iter().map(|drop| drop * factor).collect();
+            PixelNoise { brightness: 1.0, drops, bias_square: 0.0 }
+        };
+        let samples = (0..250).map(pixel).collect();
+        let noise = ImageNoise::new(vec![NoiseCell { pixels: 10_000, samples }]).unwrap();
+        let error = noise.at(16).error(Calibration::NONE);
+        let truth = law(16.0).sqrt();
+        assert!(
+            error.p50 > 0.99 * truth && error.p50 < times * truth,
+            "{:?}: {error:?} for {truth}",
+            [smooth, edge, random]
+        );
+        // Beyond, it is not known whether light found by chance will show. The interval includes that.
+        for spp in [16, 64, 256] {
+            let error = noise.at(spp).error(Calibration::NONE);
+            let truth = law(f64::from(spp)).sqrt();
+            println!("{:?} {spp}: {error:?} for {truth}", [smooth, edge, random]);
+            assert!(error.p05 <= truth && truth <= error.p95, "{spp} samples: {error:?} for {truth}");
+        }
+    }
+}
+
+#[test]
 fn what_does_not_fall_with_samples_stays() {
     let mut cell = NoiseCell { pixels: 1000, samples: (0..100).map(|i| pixel(1.0, 1.0, 16, i)).collect() };
     let without = ImageNoise::new(vec![cell.clone()]).unwrap();

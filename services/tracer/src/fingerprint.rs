@@ -5,7 +5,7 @@ use blake3::Hasher;
 use forelight_scene::{Frame, Texels};
 
 /// Increase this when images or counters change. Pixels of another version are not reused.
-const TRACER_VERSION: u32 = 16;
+const TRACER_VERSION: u32 = 17;
 
 /// BLAKE3 hash of frame, settings and tracer version. `content` is [`of_content`] of the frame.
 pub fn fingerprint(

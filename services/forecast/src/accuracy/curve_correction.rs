@@ -7,7 +7,7 @@
 
 use super::allot::Zone;
 use super::sampled_pixel::SampledPixel;
-use super::variance_curve::powers_of_pixel;
+use super::variance_curve::{powers_of_pixel, weighted};
 use crate::interval::Part;
 use crate::moments::sum;
 
@@ -96,7 +96,7 @@ impl Movement {
     fn of(tile: &[SampledPixel], zone: &Zone) -> Self {
         let guess = |pixel: &SampledPixel, before: u32| {
             let [then, now] = [before, pixel.samples].map(powers_of_pixel);
-            sum((0..2).map(|k| zone.variance[k] * (then[k] - now[k])))
+            weighted(&zone.variance, &then) - weighted(&zone.variance, &now)
         };
         let known = || tile.iter().filter_map(|pixel| Some((pixel, pixel.grown?)));
         Self {
@@ -151,14 +151,14 @@ mod tests {
             brightness: 2.0,
             variance: None,
             cost: 8.0,
-            profiled: [3.0, 1.0],
+            profiled: [0.0, 3.0, 1.0],
             grown: (!i.is_multiple_of(3)).then_some((2, factor * guess * [0.8, 1.2][i % 2])),
         };
         (0..64).map(pixel).collect()
     }
 
     fn correction(tiles: &[Vec<SampledPixel>], samples: &[f64]) -> CurveCorrection {
-        let zone = Zone { pixels: 64.0, variance: [3.0, 1.0], cost: 2.0 };
+        let zone = Zone { pixels: 64.0, variance: [0.0, 3.0, 1.0], cost: 2.0 };
         CurveCorrection::new(tiles, &vec![zone; tiles.len()], samples)
     }
 

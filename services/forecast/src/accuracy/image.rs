@@ -1,9 +1,10 @@
 //! The error of the whole image from the noise of some pixels. Their variances are averaged by stratum and
-//! extrapolated to other numbers of camera samples by A / n^1.5 + B / n.
+//! extrapolated to other numbers of camera samples by A / n² + B / n^1.5 + C / n.
 
 use serde::{Deserialize, Serialize};
 
-use super::variance_curve::{EXPONENTS, between, powers, powers_of_pixel};
+use super::variance_curve::{Terms, between};
+use super::variance_fit::{VarianceFit, weighted};
 use super::{NoiseCell, PixelNoise};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, combined, quantity};
@@ -66,10 +67,6 @@ impl MeanSquare {
     }
 }
 
-/// Least share of B / n in the variance at the last sampled number of samples. Few pixels may suggest none,
-/// which halved the error forecast for sixteen times as many samples on the test scenes.
-const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
-
 /// The most doublings of the number of samples that are considered, since that number has 32 bits.
 const MOST_LEVELS: usize = 31;
 
@@ -83,16 +80,7 @@ pub struct ImageNoise {
     mean: f64,
     /// Variance of `mean`, relative to its square.
     mean_variance: f64,
-    fit: Fit,
-}
-
-/// How A and B follow from the drops. Both are linear in the drops, and so can be added over pixels.
-#[derive(Clone, Debug, Default)]
-struct Fit {
-    /// Weight of each drop in A and in B.
-    weights: [Vec<f64>; 2],
-    /// Weights for the largest plausible B (all B / n). Only set where B was below [`MIN_INDEPENDENT_SHARE`].
-    at_most: Option<Vec<f64>>,
+    fit: VarianceFit,
 }
 
 impl ImageNoise {
@@ -109,11 +97,14 @@ impl ImageNoise {
         let all = cells.iter().flat_map(|cell| &cell.samples);
         let levels = all.map(|sample| sample.drops.len()).min();
         let levels = levels.filter(|&levels| levels > 0).ok_or(ForecastError::NoSamples)?.min(MOST_LEVELS);
-        let mut noise = Self { cells, levels, mean: 0.0, mean_variance: 0.0, fit: Fit::default() };
+        let mut noise = Self { cells, levels, mean: 0.0, mean_variance: 0.0, fit: VarianceFit::default() };
         let (mean, part) = noise.stratified(|pixel| pixel.brightness);
         noise.mean = mean;
         noise.mean_variance = if mean > 0.0 { part.variance / mean / mean } else { 0.0 };
-        noise.fit = Fit::of(&noise.drops());
+        let drops = (0..levels).map(|k| noise.stratified(|pixel| pixel.drops[k]));
+        let (drops, parts): (Vec<f64>, Vec<Part>) = drops.unzip();
+        let variances: Vec<f64> = parts.iter().map(|part| part.variance).collect();
+        noise.fit = VarianceFit::new(&drops, &variances);
         Ok(noise)
     }
 
@@ -127,14 +118,14 @@ impl ImageNoise {
         (0..self.levels).map(|k| self.stratified(|pixel| pixel.drops[k]).0).collect()
     }
 
-    /// `[A, B]` of the image's variance A / n^1.5 + B / n: the mean over its pixels, in brightness squared.
-    pub fn curve(&self) -> [f64; 2] {
-        [0, 1].map(|which| self.stratified(|pixel| self.curve_of(pixel)[which]).0)
+    /// The image's variance: the mean over its pixels.
+    pub fn curve(&self) -> Terms {
+        std::array::from_fn(|which| self.stratified(|pixel| self.curve_of(pixel)[which]).0)
     }
 
-    /// `[A, B]` of one pixel. These are estimates without bias, so they may be negative.
-    pub fn curve_of(&self, pixel: &PixelNoise) -> [f64; 2] {
-        [0, 1].map(|which| weighted(&self.fit.weights[which], pixel))
+    /// The variance of one pixel. These are estimates without bias, so they may be negative.
+    pub fn curve_of(&self, pixel: &PixelNoise) -> Terms {
+        self.fit.terms(pixel)
     }
 
     /// Mean square error of the image at `spp` ≥ 1 camera samples per pixel, with the squared bias.
@@ -150,9 +141,9 @@ impl ImageNoise {
     /// The noise at `spp` camera samples per pixel: the part of the mean square error that falls with
     /// samples.
     ///
-    /// At a sampled power of two it is the sum of all further drops, plus the rest, which follows A / n^1.5 +
-    /// B / n. Between powers of two, see `variance_curve::between`. Its variance is that of the estimate plus
-    /// that of a single image's error, 2 V² each, as for a normally distributed number.
+    /// At a sampled power of two it is the sum of all further drops, plus the rest, which follows A / n² +
+    /// B / n^1.5 + C / n. Between powers of two, see `variance_curve::between`. Its variance is that of the
+    /// estimate plus that of a single image's error, 2 V² each, as for a normally distributed number.
     pub fn noise_at(&self, spp: u32) -> MeanSquare {
         let spp = spp.max(1);
         let below = spp.ilog2() as usize;
@@ -185,11 +176,13 @@ impl ImageNoise {
             square.variance += sum(self.cells.iter().map(of_cell)) / pixels * scale * scale;
             if let Some(weights) = &self.fit.at_most {
                 let at_most =
-                    self.stratified(|pixel| weighted(weights, pixel)).0 / f64::from(samples) * scale;
+                    self.stratified(|pixel| weighted(weights, &pixel.drops)).0 / f64::from(samples) * scale;
                 let is = self.stratified(|pixel| self.fit.beyond(pixel, samples)).0 * scale;
-                // Takes `at_most` as the 95 % quantile of a normal distribution.
-                let deviation = (at_most - is).max(0.0) / 1.645;
-                square.variance += deviation * deviation;
+                // Takes `at_most` as the 95 % quantile of a lognormal distribution.
+                if is > 0.0 && at_most > is {
+                    let deviation = libm::log(at_most / is) / 1.645;
+                    square.variance += is * is * libm::expm1(deviation * deviation);
+                }
             }
         }
         square
@@ -237,81 +230,4 @@ impl ImageNoise {
         parts.push(Part { variance: influence * influence, degrees_of_freedom: f64::INFINITY });
         (sum(means), combined(&parts))
     }
-}
-
-impl Fit {
-    /// Weighted least squares over the image's drops relative to their scales. A and B are not negative.
-    fn of(drops: &[f64]) -> Self {
-        // Drop k of 1 / n^1.5 and of 1 / n.
-        let shape = |which: usize, k: usize| {
-            libm::exp2(-EXPONENTS[which] * k as f64) * (1.0 - libm::exp2(-EXPONENTS[which]))
-        };
-        let scales = scales(drops);
-        let weight = |k: usize| 1.0 / (scales[k] * scales[k]);
-        let levels = 0..drops.len();
-        let product = |one: usize, other: usize| {
-            sum(levels.clone().map(|k| weight(k) * shape(one, k) * shape(other, k)))
-        };
-        let alone = |which: usize| -> Vec<f64> {
-            levels.clone().map(|k| weight(k) * shape(which, k) / product(which, which)).collect()
-        };
-        let none = vec![0.0; drops.len()];
-        let independent = Self { weights: [none.clone(), alone(1)], at_most: None };
-        let determinant = product(0, 0) * product(1, 1) - product(0, 1) * product(0, 1);
-        if drops.len() < 2 || determinant <= 0.0 {
-            return independent;
-        }
-        let both: [Vec<f64>; 2] = [(0, 1), (1, 0)].map(|(own, other)| {
-            let of = |k: usize| {
-                weight(k) * (product(other, other) * shape(own, k) - product(own, other) * shape(other, k))
-            };
-            levels.clone().map(|k| of(k) / determinant).collect()
-        });
-        let value = |weights: &[f64]| sum(weights.iter().zip(drops).map(|(weight, drop)| weight * drop));
-        if value(&both[0]) <= 0.0 {
-            return independent;
-        }
-        let samples = libm::exp2(drops.len() as f64);
-        let powers = powers(samples);
-        let fitted = if value(&both[1]) > 0.0 { both } else { [alone(0), none] };
-        let [of_edges, of_rest] = [0, 1].map(|which| value(&fitted[which]) * powers[which]);
-        if of_rest >= MIN_INDEPENDENT_SHARE * (of_edges + of_rest) {
-            return Self { weights: fitted, at_most: None };
-        }
-        // The variance at that number of samples stays. Only its division between A and B changes.
-        let left = |k: usize| fitted[0][k] * powers[0] + fitted[1][k] * powers[1];
-        let share = |part: f64, power: f64| levels.clone().map(|k| part * left(k) / power).collect();
-        Self {
-            weights: [share(1.0 - MIN_INDEPENDENT_SHARE, powers[0]), share(MIN_INDEPENDENT_SHARE, powers[1])],
-            at_most: Some(alone(1)),
-        }
-    }
-
-    /// V(n) of a pixel at `samples` samples, beyond what was sampled.
-    fn beyond(&self, pixel: &PixelNoise, samples: u32) -> f64 {
-        let powers = powers_of_pixel(samples);
-        sum([0, 1].map(|which| weighted(&self.weights[which], pixel) * powers[which]))
-    }
-}
-
-/// Scales of drops: the fit's errors count relative to them. A scale is the drop itself, but after the one before
-/// it falls by no less than A / n^1.5 and no more than B / n would. Later drops come from fewer pairs of
-/// samples. Relative to themselves, those that are low by chance would count most, and forecasts were too low
-/// by up to a quarter (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
-fn scales(drops: &[f64]) -> Vec<f64> {
-    let largest = drops.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-    let [steep, flat] = EXPONENTS.map(|exponent| libm::exp2(-exponent));
-    let mut before = None;
-    let scale = |drop: &f64| {
-        let own = (drop / largest).max(1e-6);
-        let scale = before.map_or(own, |before: f64| own.clamp(before * steep, before * flat));
-        before = Some(scale);
-        scale
-    };
-    drops.iter().map(scale).collect()
-}
-
-/// A linear combination of a pixel's drops.
-fn weighted(weights: &[f64], pixel: &PixelNoise) -> f64 {
-    sum(weights.iter().zip(&pixel.drops).map(|(weight, drop)| weight * drop))
 }

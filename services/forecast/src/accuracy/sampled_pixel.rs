@@ -1,5 +1,7 @@
 //! A pixel of an unfinished image, with what its samples show so far.
 
+use super::Terms;
+
 /// A pixel of an unfinished image.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SampledPixel {
@@ -11,8 +13,8 @@ pub struct SampledPixel {
     pub variance: Option<f64>,
     /// Total cost of the samples, in any unit that all pixels share.
     pub cost: f64,
-    /// The profile's variance curve of pixels like this one: `[A, B]` of A / n^1.5 + B / n.
-    pub profiled: [f64; 2],
+    /// The profile's variance of pixels like this one.
+    pub profiled: Terms,
     /// Number of samples before the later ones, which are half to three quarters of all, and the squared
     /// change of the mean that those brought, mean over channels. `None` with a single sample.
     pub grown: Option<(u32, f64)>,

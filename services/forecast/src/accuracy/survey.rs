@@ -8,7 +8,7 @@
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
 use super::curve_correction::CurveCorrection;
 use super::sampled_pixel::SampledPixel;
-use super::variance_curve::{powers, powers_of_pixel};
+use super::variance_curve::{RANDOM, Terms, powers, powers_of_pixel, weighted};
 use super::{ErrorQuantiles, MeanSquare};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, combined};
@@ -139,7 +139,7 @@ impl Survey {
 
 /// Mean variance of a tile's pixels, over that with the mean number of samples everywhere.
 fn unevenness(tile: &[SampledPixel], zone: &Zone, samples: f64) -> f64 {
-    let variance = |powers: [f64; 2]| sum((0..2).map(|k| zone.variance[k] * powers[k]));
+    let variance = |powers: Terms| weighted(&zone.variance, &powers);
     let are = sum(tile.iter().map(|pixel| variance(powers_of_pixel(pixel.samples)))) / tile.len() as f64;
     let even = variance(powers(samples));
     if even > 0.0 && even.is_finite() { are / even } else { 1.0 }
@@ -148,15 +148,15 @@ fn unevenness(tile: &[SampledPixel], zone: &Zone, samples: f64) -> f64 {
 /// A tile as a zone, with the variance of its error relative to the square.
 fn zone_of_tile(tile: &[SampledPixel]) -> (Zone, Part) {
     let pixels = tile.len() as f64;
-    let profiled = [0, 1].map(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
-    let expected = profiled[0] + profiled[1];
-    let shape = if expected > 0.0 { profiled.map(|part| part / expected) } else { [0.0, 1.0] };
+    let profiled: Terms =
+        std::array::from_fn(|k| sum(tile.iter().map(|pixel| pixel.profiled[k].max(0.0))) / pixels);
+    let expected = sum(profiled.iter().copied());
+    let shape = if expected > 0.0 { profiled.map(|part| part / expected) } else { RANDOM };
     // The samples of a pixel are spread more evenly than random ones. So the expected spread of n of them is
     // V(1) − V(n), not V(1) (1 − 1 / n).
     let unbiased = |pixel: &SampledPixel| {
         let samples = f64::from(pixel.samples);
-        let seen =
-            1.0 - sum(shape.iter().zip(powers_of_pixel(pixel.samples)).map(|(share, power)| share * power));
+        let seen = 1.0 - weighted(&shape, &powers_of_pixel(pixel.samples));
         pixel.variance.map(|variance| variance * (1.0 - 1.0 / samples) / seen)
     };
     let mut known: Vec<f64> = tile.iter().filter_map(unbiased).collect();
@@ -195,8 +195,10 @@ fn spread(tile: &[SampledPixel]) -> Option<f64> {
 mod tests {
     use super::*;
 
+    const TERMS: Terms = [1.0, 2.0, 1.0];
+
     fn pixel(variance: Option<f64>) -> SampledPixel {
-        SampledPixel { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: [3.0, 1.0], grown: None }
+        SampledPixel { samples: 4, brightness: 2.0, variance, cost: 8.0, profiled: TERMS, grown: None }
     }
 
     #[test]
@@ -209,22 +211,23 @@ mod tests {
         let spot = vec![once(2.0), once(102.0)];
         let survey = Survey::new(&[calm, wild, unknown, spot]).unwrap();
         let [calm, wild, unknown, spot] = survey.zones() else { panic!() };
-        let total = |zone: &Zone| zone.variance[0] + zone.variance[1];
+        let total = |zone: &Zone| sum(zone.variance.iter().copied());
         assert!(total(calm) < 0.02 && total(calm) > 1e-4, "{calm:?}");
-        // Four samples: expected spread 1 − 0.75 / 8 − 0.25 / 4 of the variance; the sample variance adds 4 /
-        // 3.
-        let variance = 2.0 * 0.75 / (1.0 - 0.75 / 8.0 - 0.25 / 4.0);
+        // Four samples: expected spread 1 − 0.25 / 16 − 0.5 / 8 − 0.25 / 4 of the variance; the sample variance
+        // adds 4 / 3.
+        let variance = 2.0 * 0.75 / (1.0 - 0.25 / 16.0 - 0.5 / 8.0 - 0.25 / 4.0);
         assert!((total(wild) - (variance + 0.1 * 4.0) / 2.1).abs() < 1e-12);
         assert!(total(spot) > 4000.0, "{spot:?}");
         assert_eq!(total(unknown), 4.0, "the profile's word alone");
         for zone in [calm, wild, unknown, spot] {
-            assert!((zone.variance[0] / zone.variance[1] - 3.0).abs() < 1e-9);
+            let shares = zone.variance.map(|term| 4.0 * term / total(zone));
+            assert!(shares.iter().zip(TERMS).all(|(share, is)| (share - is).abs() < 1e-9), "{zone:?}");
             assert_eq!(zone.cost, 2.0);
         }
         assert_eq!(survey.samples(), [4.0, 4.0, 4.0, 1.0]);
         // Without a profile, the variance falls as for random samples.
-        let still = SampledPixel { profiled: [0.0; 2], ..pixel(Some(1.0)) };
-        assert_eq!(Survey::new(&[vec![still]]).unwrap().zones()[0].variance[0], 0.0);
+        let still = SampledPixel { profiled: [0.0; 3], ..pixel(Some(1.0)) };
+        assert_eq!(Survey::new(&[vec![still]]).unwrap().zones()[0].variance[..2], [0.0; 2]);
     }
 
     #[test]
@@ -244,7 +247,7 @@ mod tests {
 
     #[test]
     fn black_images_and_single_samples_have_an_answer_and_empty_ones_an_error() {
-        let black = SampledPixel { brightness: 0.0, variance: Some(0.0), profiled: [0.0; 2], ..pixel(None) };
+        let black = SampledPixel { brightness: 0.0, variance: Some(0.0), profiled: [0.0; 3], ..pixel(None) };
         let survey = Survey::new(&[vec![black; 5]]).unwrap();
         assert_eq!(survey.samples_for_error(0.01, |e| e.p50, Calibration::NONE), [1.0]);
         assert_eq!(survey.error(&[1.0], Calibration::NONE).p95, 0.0);

@@ -1,23 +1,37 @@
-//! The variance of a pixel with n samples: A / n^1.5 + B / n.
+//! The variance of a pixel with n samples: A / n² + B / n^1.5 + C / n.
 //!
-//! The first term is that of scrambled nets for an edge across the pixel (Mitchell 1996; Owen 1997). It
-//! dominates at few samples. The second is that of random samples.
+//! Samples are points of scrambled nets. The first term is theirs for light that changes smoothly over the pixel
+//! and the lamps. The second is theirs for an edge across the pixel (Mitchell 1996; Owen 1997). The third is that
+//! of random samples.
 
-/// The exponents of the two terms.
-pub(super) const EXPONENTS: [f64; 2] = [1.5, 1.0];
+use crate::moments::sum;
 
-/// `[n^−1.5, n^−1]` for n = `samples`.
-pub(super) fn powers(samples: f64) -> [f64; 2] {
-    const { assert!(EXPONENTS[0] == 1.5 && EXPONENTS[1] == 1.0) };
-    [1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
+/// Coefficients `[A, B, C]` of a variance, in brightness squared. Their sum is the variance of one sample.
+pub type Terms = [f64; 3];
+
+/// The exponents of the terms, the steepest first.
+pub(super) const EXPONENTS: Terms = [2.0, 1.5, 1.0];
+
+/// The terms of random samples whose variance is 1.
+pub(super) const RANDOM: Terms = [0.0, 0.0, 1.0];
+
+/// `[n^−2, n^−1.5, n^−1]` for n = `samples`.
+pub(super) fn powers(samples: f64) -> Terms {
+    const { assert!(EXPONENTS[0] == 2.0 && EXPONENTS[1] == 1.5 && EXPONENTS[2] == 1.0) };
+    [1.0 / (samples * samples), 1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
+}
+
+/// The terms' sum Σ terms · powers.
+pub(super) fn weighted(terms: &Terms, powers: &Terms) -> f64 {
+    sum(terms.iter().zip(powers).map(|(term, power)| term * power))
 }
 
 /// The same for a pixel with a whole number of samples; interpolated by [`between`] between powers of two.
-pub(super) fn powers_of_pixel(samples: u32) -> [f64; 2] {
+pub(super) fn powers_of_pixel(samples: u32) -> Terms {
     let below = f64::from(1u32 << samples.max(1).ilog2());
     let [at_below, at_above] = [below, 2.0 * below].map(powers);
     let below = between(samples);
-    [0, 1].map(|k| at_above[k] + below * (at_below[k] - at_above[k]))
+    std::array::from_fn(|k| at_above[k] + below * (at_below[k] - at_above[k]))
 }
 
 /// Weight of the variance at the power of two below, when interpolating to `samples`; that above has the
@@ -45,11 +59,11 @@ mod tests {
         for power in [1, 2, 64] {
             assert_eq!(powers_of_pixel(power), powers(f64::from(power)));
         }
-        let of = |samples| powers_of_pixel(samples)[0];
+        let of = |samples| powers_of_pixel(samples)[1];
         assert!((of(48) / ((of(32) + 2.0 * of(64)) / 3.0) - 1.0).abs() < 1e-12);
-        assert!(of(46) > 1.04 * powers(46.0)[0], "odd numbers are worse than the law");
+        assert!(of(46) > 1.04 * powers(46.0)[1], "odd numbers are worse than the law");
         for samples in [1, 3, 46, 1000, 65_535] {
-            assert!((powers_of_pixel(samples)[1] * f64::from(samples) - 1.0).abs() < 1e-12);
+            assert!((powers_of_pixel(samples)[2] * f64::from(samples) - 1.0).abs() < 1e-12);
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::accuracy::Pilot;
 use crate::costs::seconds;
 use crate::error::{RenderError, ShotError};
 use forelight_forecast::accuracy::allot::{MOST_SAMPLES, Zone, cost, samples_for_variance, whole};
-use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup};
+use forelight_forecast::accuracy::{ErrorQuantiles, ImageNoise, NoiseGroup, Terms};
 use forelight_forecast::{Calibration, ForecastError};
 use forelight_protocol::{AllottedForecast, Confidence, Quantiles, SamplesForError};
 use forelight_tracer::SampleCounts;
@@ -93,7 +93,7 @@ impl<'a> Allotment<'a> {
     }
 
     /// For each pixel, how the variance of its zone falls with samples, see [`Zone::variance`].
-    pub fn profiled_variance(&self) -> Vec<[f64; 2]> {
+    pub fn profiled_variance(&self) -> Vec<Terms> {
         let mut variance = vec![self.image.curve(); self.pilot.settings.pixels() as usize];
         for (pixels, zone) in self.pixels.iter().zip(&self.zones) {
             pixels.iter().for_each(|&pixel| variance[pixel as usize] = zone.variance);

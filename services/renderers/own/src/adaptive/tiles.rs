@@ -2,7 +2,7 @@
 
 use crate::adaptive::allotment::{Allotment, laid_out};
 use crate::error::{RenderError, ShotError};
-use forelight_forecast::accuracy::{SampledPixel, Survey};
+use forelight_forecast::accuracy::{SampledPixel, Survey, Terms};
 use forelight_tracer::{Passes, SampleCounts, SoFar, Tiling};
 
 /// Edge of a tile in pixels. The samples of 64 pixels show how they vary; bright spots are wider.
@@ -13,7 +13,7 @@ pub(crate) struct Tiles {
     pixels: Vec<Vec<u32>>,
     /// For each pixel, how the variance of its zone falls with samples, see [`SampledPixel::profiled`].
     /// `None`: all pixels follow the image's curve.
-    profiled: Option<Vec<[f64; 2]>>,
+    profiled: Option<Vec<Terms>>,
     count: usize,
 }
 
@@ -33,10 +33,11 @@ impl Tiles {
     /// Evaluates the samples so far. Every pixel must have one.
     pub fn survey(&self, passes: &Passes) -> Result<Survey, ShotError> {
         let so_far = passes.so_far();
-        // Without a profile, which law the variance follows is unknown: half of each.
+        // Without a profile, which law the variance follows is unknown: half of each of the flatter two.
         let half = 0.5 * mean_variance(&so_far);
+        let unknown = [0.0, half, half];
         let seen = |&pixel: &u32| {
-            let profiled = self.profiled.as_ref().map_or([half; 2], |profiled| profiled[pixel as usize]);
+            let profiled = self.profiled.as_ref().map_or(unknown, |profiled| profiled[pixel as usize]);
             let pixel = so_far[pixel as usize];
             SampledPixel {
                 samples: pixel.samples,
