@@ -1,6 +1,7 @@
 //! Finds Open Image Denoise, and runs it.
 
 use crate::pfm;
+use forelight_kept::TemporaryFolder;
 use forelight_renderer::door::{Limits, RendererError, Run};
 use forelight_renderer::process::{Program, Sandbox, Usage, ask, run};
 use std::fs;
@@ -102,7 +103,7 @@ impl Denoiser {
     /// As [`denoise`](Self::denoise), and if it takes longer than two minutes.
     pub fn try_out(&self, sandbox: Option<&Sandbox>) -> Result<Trial, RendererError> {
         let place = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
-        let folder = tempfile::tempdir_in(&place).map_err(RendererError::io(place))?;
+        let folder = TemporaryFolder::new_in(&place).map_err(RendererError::io(place))?;
         let cancelled = AtomicBool::new(false);
         let limits = Limits { threads: 1, time: Some(PATIENCE), ..Limits::default() };
         let to_run = Run { sandbox, ..Run::silent(&cancelled, folder.path(), limits) };

@@ -1,9 +1,14 @@
-//! Files that a machine keeps so that work is not done again: fetched bundles, loaded scenes, trees.
+//! Files that a machine keeps so that work is not done again: fetched bundles, loaded scenes, trees. And
+//! [temporary folders](TemporaryFolder), which it does not keep.
 //!
 //! Hazards: a file may be damaged, be of another version of this program, or have been put there by another
 //! user. So a file is used only if its user owns it, nobody else can write it, and it ends with a hash of its
 //! content under its name. Its name holds a hash of what it was made from. Otherwise it is made anew. A full
 //! disk may stop a farm, so nothing is kept where little space is left.
+
+mod temporary;
+
+pub use temporary::{TemporaryFolder, remove_abandoned};
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Read as _, Write as _};

@@ -2,6 +2,7 @@
 
 use crate::door::Pause;
 use bytes::Bytes;
+use forelight_kept::TemporaryFolder;
 use forelight_protocol::{
     FinishedPixels, LOG_LINES, LogLevel, LogLine, Spent, TaskLimit, TaskLimits, TaskResult, TaskSpec,
     Timestamp,
@@ -12,7 +13,6 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
-use tempfile::TempDir;
 
 /// A task with its inputs on this machine.
 #[derive(Debug, Clone)]
@@ -32,7 +32,7 @@ pub struct Assignment {
     /// Finished shares of the samples that the task names, in its order.
     pub shares: Vec<Bytes>,
     /// Folder of the images that the task shows, named by [`picture_name`].
-    pub pictures: Option<Arc<TempDir>>,
+    pub pictures: Option<Arc<TemporaryFolder>>,
     /// Tiles that an earlier worker finished before it was lost.
     pub checkpoint: Option<Bytes>,
     /// Limits on the task.

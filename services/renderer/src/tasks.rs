@@ -14,6 +14,7 @@ use crate::quoting::{
 };
 use bytes::Bytes;
 use forelight_forecast::Strategy;
+use forelight_kept::TemporaryFolder;
 use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
     ArtifactHash, FinishedPart, LogLevel, PartRange, PreviewSpec, ProfileSpec, Rays, RenderArtifacts,
@@ -347,7 +348,7 @@ pub fn with_run<T>(
 ) -> Result<T, ExecuteError> {
     let folder = sandbox.map_or_else(std::env::temp_dir, |sandbox| sandbox.folder().to_owned());
     let no_place = |error| failure(RendererError::io("temporary folder")(error), assignment);
-    let scratch = tempfile::tempdir_in(folder).map_err(no_place)?;
+    let scratch = TemporaryFolder::new_in(&folder).map_err(no_place)?;
     // Only who has stopped the program may stand still.
     let progress = |share: f64| control.note_progress(share);
     let log = |line: &str| control.log(LogLevel::Info, line);

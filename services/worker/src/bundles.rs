@@ -4,21 +4,13 @@
 //! hash before it is opened: a damaged one is fetched again. The folder is its user's alone.
 
 use forelight_client::{Client, ClientError};
-use forelight_kept::Folder;
+use forelight_kept::{Folder, TemporaryFolder, remove_abandoned};
 use forelight_protocol::{ArtifactHash, BundleSource};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
-use tempfile::TempDir;
 
 /// Fetched bundles are deleted, least recently used first, when they exceed this many bytes.
 const DISK_BYTES: u64 = 16 << 30;
-
-/// Beginning of the names of folders of pictures.
-const PICTURES: &str = ".pictures-";
-
-/// Pictures that a killed process left are removed after this time.
-const LEFT_FOR: Duration = Duration::from_secs(24 * 3600);
 
 /// A folder of fetched bundles.
 #[derive(Debug)]
@@ -34,13 +26,13 @@ impl Bundles {
     /// If the folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self, std::io::Error> {
         let folder = Folder::new(folder)?;
-        remove_left_pictures(folder.path());
+        remove_abandoned(folder.path());
         Ok(Self { folder, fetching: tokio::sync::Mutex::default() })
     }
 
     /// A folder for the pictures of one task, removed when it is dropped.
-    pub(crate) fn folder_for_pictures(&self) -> Result<TempDir, std::io::Error> {
-        tempfile::Builder::new().prefix(PICTURES).tempdir_in(self.folder.path())
+    pub(crate) fn folder_for_pictures(&self) -> Result<TemporaryFolder, std::io::Error> {
+        TemporaryFolder::new_in(self.folder.path())
     }
 
     /// Path of a task's bundle on this machine. Fetches the bundle if needed.
@@ -72,18 +64,6 @@ impl Bundles {
         partial.persist(&path).map_err(|error| failed(error.error))?;
         self.folder.make_room("zip", &path, DISK_BYTES);
         Ok(path)
-    }
-}
-
-/// Removes folders of pictures that ended processes left behind.
-fn remove_left_pictures(folder: &Path) {
-    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
-        let is_of_pictures = entry.file_name().as_encoded_bytes().starts_with(PICTURES.as_bytes());
-        let changed = entry.metadata().and_then(|about| about.modified());
-        let age = changed.ok().and_then(|changed| SystemTime::now().duration_since(changed).ok());
-        if is_of_pictures && age.is_some_and(|age| age > LEFT_FOR) {
-            let _ = fs::remove_dir_all(entry.path());
-        }
     }
 }
 
@@ -119,20 +99,6 @@ async fn is_whole(path: &Path, hash: ArtifactHash) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn pictures_that_a_killed_process_left_are_removed_after_a_day() {
-        let folder = tempfile::tempdir().unwrap();
-        let [old, new] = ["old", "new"].map(|name| folder.path().join(format!("{PICTURES}{name}")));
-        for path in [&old, &new] {
-            fs::create_dir(path).unwrap();
-            fs::write(path.join("000000.png"), b"a picture").unwrap();
-        }
-        let before = SystemTime::now() - 2 * LEFT_FOR;
-        fs::File::open(&old).unwrap().set_modified(before).unwrap();
-        Bundles::new(folder.path()).unwrap();
-        assert!(!old.exists() && new.exists());
-    }
 
     #[tokio::test]
     async fn a_kept_file_is_whole_only_if_every_bit_of_it_is() {

@@ -168,7 +168,7 @@ pub fn equipment(
     options: &RendererOptions,
     hidden: Vec<PathBuf>,
 ) -> Result<(Arc<Bundles>, Arc<Renderers>, Capabilities)> {
-    end_orphans();
+    remove_remains();
     let bundles = Bundles::new(folder)
         .with_context(|| format!("cannot keep bundles in the folder {}", folder.display()))?;
     let mut renderer = OwnRenderer::new(preview_choice(preview));
@@ -201,11 +201,15 @@ pub fn equipment(
     Ok((Arc::new(bundles), Arc::new(renderers), capabilities))
 }
 
-/// Ends what programs of a killed worker left running: it would take this one's processors and memory.
-fn end_orphans() {
+/// Ends and removes what a killed worker left: it would take this one's processors, memory and disk.
+fn remove_remains() {
     let number = forelight_renderer::process::end_orphans();
     if number > 0 {
         tracing::warn!(number, "processes that a killed worker's programs had left behind were ended");
+    }
+    let number = forelight_kept::remove_abandoned(&std::env::temp_dir());
+    if number > 0 {
+        tracing::info!(number, "temporary folders that killed processes had left behind were removed");
     }
 }
 

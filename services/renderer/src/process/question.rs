@@ -5,6 +5,7 @@ use super::messages::Message;
 use super::program::Program;
 use super::session::{Finished, run};
 use crate::door::{Limits, RendererError, Run};
+use forelight_kept::TemporaryFolder;
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -22,7 +23,7 @@ pub fn ask(
     known: &'static [Message],
     on_line: &mut dyn FnMut(&Line),
 ) -> Result<Finished, RendererError> {
-    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
+    let folder = TemporaryFolder::new().map_err(RendererError::io(std::env::temp_dir()))?;
     let limits = Limits { time: Some(PATIENCE), ..Limits::default() };
     let cancelled = AtomicBool::new(false);
     run(&program(folder.path()), known, &Run::silent(&cancelled, folder.path(), limits), on_line)

@@ -6,9 +6,9 @@
 
 use super::program::Program;
 use crate::door::RendererError;
+use forelight_kept::TemporaryFolder;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use tempfile::TempDir;
 
 /// Name of bubblewrap's program, which Debian's package `bubblewrap` has.
 const BWRAP: &str = "bwrap";
@@ -34,7 +34,7 @@ const KEYS: &str = "SSH_AUTH_SOCK";
 /// What the programs of a worker may write and may not read.
 #[derive(Debug)]
 pub struct Sandbox {
-    folder: TempDir,
+    folder: TemporaryFolder,
     hidden: Vec<PathBuf>,
 }
 
@@ -45,8 +45,8 @@ impl Sandbox {
     /// [`RendererError::NotInstalled`], if there is no `bwrap`, or the system lets it make no namespace.
     pub fn new(hidden: Vec<PathBuf>) -> Result<Self, RendererError> {
         let temporary = std::env::temp_dir();
-        let folder = tempfile::Builder::new().prefix("forelight-tasks-").tempdir();
-        let sandbox = Self { folder: folder.map_err(RendererError::io(&temporary))?, hidden };
+        let folder = TemporaryFolder::new().map_err(RendererError::io(temporary))?;
+        let sandbox = Self { folder, hidden };
         let program = Program::new("true", sandbox.folder.path());
         let unusable = |reason: String| RendererError::NotInstalled {
             renderer: "bubblewrap".to_owned(),

@@ -1,6 +1,7 @@
 //! Questions to the driver, and its answers.
 
 use crate::installation::{Cycles, MESSAGES};
+use forelight_kept::TemporaryFolder;
 use forelight_renderer::door::{RendererError, Run};
 use forelight_renderer::process::{Session, Stream};
 use serde::Deserialize;
@@ -8,7 +9,6 @@ use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tempfile::TempDir;
 
 /// The scripts that run inside Blender. The first one is started.
 const SCRIPTS: [(&str, &str); 6] = [
@@ -28,7 +28,7 @@ pub(crate) struct Connection {
     scene: PathBuf,
     session: Session,
     /// Home of the process, with the scripts. Removed with this.
-    _folder: TempDir,
+    _folder: TemporaryFolder,
 }
 
 /// One line of the driver.
@@ -56,7 +56,7 @@ impl Connection {
         }
         let scene = std::path::absolute(scene).map_err(RendererError::io(scene))?;
         let temporary = || RendererError::io(std::env::temp_dir());
-        let folder = tempfile::Builder::new().prefix("forelight-blender-").tempdir().map_err(temporary())?;
+        let folder = TemporaryFolder::new().map_err(temporary())?;
         for (name, text) in SCRIPTS {
             let path = folder.path().join(name);
             std::fs::write(&path, text).map_err(RendererError::io(&path))?;

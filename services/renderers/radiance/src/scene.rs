@@ -5,13 +5,13 @@ use crate::installation::{MESSAGES, Radiance};
 use crate::rif::Plan;
 use crate::settings::Arguments;
 use crate::views::{View, views_of};
+use forelight_kept::TemporaryFolder;
 use forelight_renderer::door::{Asset, Cost, Frames, RendererError, Run};
 use forelight_renderer::process::{Program, run, run_on_files};
 use std::fs::{self, File};
 use std::io::{Read as _, Seek as _};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use tempfile::TempDir;
 
 /// Width and height of an image at most, where the scene does not say.
 const SIDE: u32 = 512;
@@ -33,7 +33,7 @@ pub(crate) struct Scene {
     /// Folder from which the scene names its files.
     pub folder: PathBuf,
     /// Home of our processes, with the octree if it was built here. Removed with this.
-    pub home: TempDir,
+    pub home: TemporaryFolder,
     pub frames: Vec<SceneFrame>,
     pub arguments: Arguments,
     /// Width and height at most.
@@ -51,7 +51,7 @@ struct Reader<'a> {
     radiance: &'a Radiance,
     scene: &'a Path,
     folder: PathBuf,
-    home: TempDir,
+    home: TemporaryFolder,
     run: &'a Run<'a>,
     cost: Cost,
 }
@@ -64,8 +64,7 @@ impl Scene {
         }
         let scene = std::path::absolute(scene).map_err(RendererError::io(scene))?;
         let folder = scene.parent().unwrap_or(Path::new("/")).to_owned();
-        let home = tempfile::Builder::new().prefix("forelight-radiance-").tempdir();
-        let home = home.map_err(RendererError::io(std::env::temp_dir()))?;
+        let home = TemporaryFolder::new().map_err(RendererError::io(std::env::temp_dir()))?;
         let reader = Reader { radiance, scene: &scene, folder, home, run, cost: Cost::default() };
         if scene.extension().is_some_and(|end| end.eq_ignore_ascii_case("rif")) {
             reader.of_rif()

@@ -4,9 +4,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use forelight_client::ClientError;
+use forelight_kept::TemporaryFolder;
 use forelight_protocol::{BundleSource, CACHE_BYTES, Lease, LogLevel, ProblemKind, TaskSpec};
 use forelight_renderer::{Assignment, Control, ExecuteError};
-use tempfile::TempDir;
 
 use super::{AFTER_REFUSAL, Agent};
 use crate::errors::describe;
@@ -67,7 +67,7 @@ impl Agent {
     async fn fetch(
         &self,
         lease: &Lease,
-        folder: Option<&TempDir>,
+        folder: Option<&TemporaryFolder>,
         control: &Control,
     ) -> Result<Assignment, ClientError> {
         let bundle = match lease.spec.bundle() {

@@ -6,7 +6,7 @@ use super::{Args, on_shared_storage, upload_key};
 use crate::commands::blocking;
 use anyhow::{Context, Result};
 use forelight_client::Client;
-use forelight_kept::{LARGEST, named};
+use forelight_kept::{LARGEST, TemporaryFolder, named};
 use forelight_protocol::{FrameSet, JobRequest, RendererRequest};
 use forelight_renderer::door::RendererError;
 use forelight_renderer::{scene_digest, scene_name};
@@ -18,7 +18,6 @@ use forelight_terminal::options::{Keep, MachineOptions, QualityOptions};
 use forelight_terminal::output::Bars;
 use forelight_terminal::quantities::bytes;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 use uuid::Uuid;
 
 /// Name of a copy that holds all files.
@@ -95,7 +94,7 @@ struct Found {
     /// Frames of the job, if they are known.
     frames: Option<FrameSet>,
     /// The folder of the copy, if the scene refers to files outside. Nobody else can read it.
-    packed: Option<TempDir>,
+    packed: Option<TemporaryFolder>,
 }
 
 impl Question {
@@ -122,9 +121,14 @@ impl Question {
 
     /// A copy of the scene that holds all files, if it refers to any. Blender does not write the same bytes
     /// twice, so the copy is kept: the farm has it already when the same scene is submitted again.
-    fn packed(&self, foreign: &Foreign, bars: &Bars, interrupt: &Interrupt) -> Result<Option<TempDir>> {
+    fn packed(
+        &self,
+        foreign: &Foreign,
+        bars: &Bars,
+        interrupt: &Interrupt,
+    ) -> Result<Option<TemporaryFolder>> {
         let kept = kept_scenes(Keep::On).zip(self.name(foreign)?);
-        let beside = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let beside = TemporaryFolder::new().context("cannot make a temporary folder")?;
         let copy = beside.path().join(PACKED);
         if let Some(content) = kept.as_ref().and_then(|(folder, name)| folder.read(name)) {
             std::fs::write(&copy, content).with_context(|| format!("cannot write {}", copy.display()))?;

@@ -12,6 +12,7 @@ use crate::frame::OwnFrame;
 use crate::render::Rendered;
 use forelight_denoise::{Denoised, Denoiser, Layers};
 use forelight_forecast::PixelCurve;
+use forelight_kept::TemporaryFolder;
 use forelight_protocol::{DenoisedStats, ImageError};
 use forelight_random::Random;
 use forelight_renderer::door::{Limits, RendererError, Run};
@@ -49,7 +50,7 @@ pub(crate) fn with_folder<T>(
     cancel: &AtomicBool,
     work: impl FnOnce(&Run<'_>) -> Result<T, RenderError>,
 ) -> Result<T, RenderError> {
-    let folder = tempfile::tempdir().map_err(RendererError::io(std::env::temp_dir()))?;
+    let folder = TemporaryFolder::new().map_err(RendererError::io(std::env::temp_dir()))?;
     work(&Run::silent(cancel, folder.path(), Limits { threads: threads(), ..Limits::default() }))
 }
 

@@ -4,6 +4,7 @@
 //! measures it on an image of the same size, made of the finished pixels.
 
 use crate::profile::ProfiledFrame;
+use forelight_kept::TemporaryFolder;
 use forelight_protocol::Spent;
 use forelight_renderer::ExecuteError;
 use forelight_scene::Frame;
@@ -99,7 +100,8 @@ pub fn png(picture: &RgbImage) -> Result<Vec<u8>, ExecuteError> {
 fn exr(image: &Image, frame: &Frame) -> Result<Vec<u8>, ExecuteError> {
     let failed =
         |error: &dyn std::fmt::Display| ExecuteError::Transient(format!("cannot write the image: {error}"));
-    let file = tempfile::Builder::new().suffix(".exr").tempfile().map_err(|e| failed(&e))?;
-    image.write_exr(file.path(), frame).map_err(|e| failed(&e))?;
-    std::fs::read(file.path()).map_err(|e| failed(&e))
+    let folder = TemporaryFolder::new().map_err(|e| failed(&e))?;
+    let path = folder.path().join("image.exr");
+    image.write_exr(&path, frame).map_err(|e| failed(&e))?;
+    std::fs::read(&path).map_err(|e| failed(&e))
 }
