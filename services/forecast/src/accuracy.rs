@@ -14,7 +14,7 @@
 //! | `allot` | how many camera samples each part of an image gets, for a budget or an error |
 //! | `sampled_pixel` | a pixel of an unfinished image |
 //! | `survey` | where further samples reduce the error most, judged by an unfinished image |
-//! | `curve_correction` | corrects the profile's variance curve by the unfinished image |
+//! | `observed_laws` | how the variance of an unfinished image falls, by the image itself |
 //! | `front` | which qualities of a ladder are Pareto optimal, and which is the next better one |
 //!
 //! The usual estimate s² / n holds only for independent samples. Camera samples are points of scrambled
@@ -23,9 +23,9 @@
 
 pub mod allot;
 mod cells;
-mod curve_correction;
 mod front;
 mod image;
+mod observed_laws;
 mod pixel;
 mod sampled_pixel;
 mod survey;

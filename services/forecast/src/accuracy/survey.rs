@@ -1,12 +1,12 @@
 //! Where further samples reduce the error of an unfinished image most.
 //!
 //! A profile of some pixels misses, for example, the bright spot beside a lamp, but the image shows it. Each
-//! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. Its fall with samples
-//! comes from the profile of the same materials. `curve_correction` corrects that by the later half of all
-//! pixels' samples.
+//! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. How it falls with samples is
+//! read from the later half of all pixels' samples (`observed_laws`). What these do not tell comes from the profile
+//! of the same materials.
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
-use super::curve_correction::CurveCorrection;
+use super::observed_laws::{ObservedLaws, Octave};
 use super::sampled_pixel::SampledPixel;
 use super::variance_curve::{RANDOM, Terms, powers, powers_of_pixel, weighted};
 use super::{ErrorQuantiles, MeanSquare};
@@ -23,8 +23,8 @@ pub struct Survey {
     zones: Vec<Zone>,
     /// Variance of the error of each tile, relative to its square.
     uncertainties: Vec<Part>,
-    /// Corrections of the tiles' guessed variances, with their common uncertainty.
-    correction: CurveCorrection,
+    /// How the tiles' variances fall with samples, with the uncertainty that they share.
+    laws: ObservedLaws,
     /// Mean number of samples per pixel of each tile.
     samples: Vec<f64>,
     /// Mean brightness of the image.
@@ -48,14 +48,18 @@ impl Survey {
             sum(tile.iter().map(|pixel| f64::from(pixel.samples))) / tile.len() as f64
         };
         let samples: Vec<f64> = tiles.iter().map(samples).collect();
-        let correction = CurveCorrection::new(tiles, &zones, &samples);
+        let laws = ObservedLaws::new(tiles, &zones, &samples);
         for ((zone, octave), (tile, samples)) in
-            zones.iter_mut().zip(correction.of_tiles()).zip(tiles.iter().zip(&samples))
+            zones.iter_mut().zip(laws.of_tiles()).zip(tiles.iter().zip(&samples))
         {
-            let factor = octave.factor * unevenness(tile, zone, *samples);
-            zone.variance = zone.variance.map(|part| part * factor);
+            if let Some(Octave { law, .. }) = octave {
+                let of_one = sum(zone.variance.iter().copied());
+                zone.variance = law.map(|term| of_one * term);
+            }
+            let factor = unevenness(tile, zone, *samples);
+            zone.variance = zone.variance.map(|term| term * factor);
         }
-        Ok(Self { zones, uncertainties, correction, samples, mean: brightness / pixels.max(1.0) })
+        Ok(Self { zones, uncertainties, laws, samples, mean: brightness / pixels.max(1.0) })
     }
 
     /// One zone for each tile, in the order of the tiles.
@@ -83,7 +87,7 @@ impl Survey {
         calibration: Calibration,
     ) -> Vec<f64> {
         let sure = self.clone();
-        Self { correction: sure.correction.without_uncertainty(), ..sure }.samples_for_error(
+        Self { laws: sure.laws.without_uncertainty(), ..sure }.samples_for_error(
             wanted,
             quantile,
             calibration,
@@ -126,7 +130,7 @@ impl Survey {
         // The error of a tile is proportional to its variance, and so has the same relative uncertainty.
         let error = |(zone, samples): (&Zone, &f64)| zone.error(*samples) / pixels / square;
         let errors: Vec<f64> = self.zones.iter().zip(samples).map(error).collect();
-        let mut parts = self.correction.uncertainties(&errors);
+        let mut parts = self.laws.uncertainties(&errors);
         let uncertainties = self.uncertainties.iter().zip(&errors);
         parts.extend(uncertainties.map(|(uncertainty, error)| Part {
             variance: uncertainty.variance * error * error,

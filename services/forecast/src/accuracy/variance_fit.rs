@@ -7,7 +7,7 @@ use crate::moments::sum;
 /// Least share of C / n in the variance at the last sampled number of samples. Few pixels may suggest none,
 /// which halved the error forecast for sixteen times as many samples on the test scenes. In three rooms the
 /// variance at 16 samples was 5.8 times that at 64. With this share, and the rest at n^−1.5, it is 6 times.
-const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
+pub(super) const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
 
 /// By how much a drop may differ from the law for each doubling before the last. The last ones tell best how the
 /// variance goes on, where they are sure. (Plain scenes at 240 × 135, forecasts for 16 and for 64 samples from 16.
