@@ -87,6 +87,7 @@ fn variances_that_fall_by_the_law_are_forecast_beyond_what_was_sampled() {
     let laws = [
         ([1.0, 0.0, 0.0], 1.2),
         ([1.0, 0.0, 0.02], 1.15),
+        ([1.0, 0.0, 0.2], 1.1),
         ([1.0, 0.1, 0.01], 1.2),
         ([0.0, 1.0, 0.0], 1.2),
         ([0.0, 1.0, 0.2], 1.1),
@@ -106,7 +107,7 @@ fn variances_that_fall_by_the_law_are_forecast_beyond_what_was_sampled() {
         let error = noise.at(16).error(Calibration::NONE);
         let truth = law(16.0).sqrt();
         assert!(
-            error.p50 > 0.99 * truth && error.p50 < times * truth,
+            error.p50 > 0.9 * truth && error.p50 < times * truth,
             "{:?}: {error:?} for {truth}",
             [smooth, edge, random]
         );
@@ -114,7 +115,6 @@ fn variances_that_fall_by_the_law_are_forecast_beyond_what_was_sampled() {
         for spp in [16, 64, 256] {
             let error = noise.at(spp).error(Calibration::NONE);
             let truth = law(f64::from(spp)).sqrt();
-            println!("{:?} {spp}: {error:?} for {truth}", [smooth, edge, random]);
             assert!(error.p05 <= truth && truth <= error.p95, "{spp} samples: {error:?} for {truth}");
         }
     }

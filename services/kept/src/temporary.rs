@@ -1,25 +1,31 @@
 //! Folders that are not kept: for the time of a task or of a program.
 //!
-//! A process that is killed cannot remove its own. So each folder is locked for as long as its process lives, and
-//! [`remove_abandoned`] removes those without a lock.
+//! A process that is killed cannot remove its own. So beside the files of each folder there is a file that is
+//! locked while its process lives, and [`remove_abandoned`] removes the folders whose file nobody locks. A file is
+//! locked, because on a network's file systems other machines see that. They do not see locks of folders.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, Permissions};
 use std::io;
-use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
-use std::path::Path;
-use std::time::{Duration, SystemTime};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// Start of the names of temporary folders.
 const PREFIX: &str = "forelight-temporary-";
 
-/// A folder of this age is locked, if its process lives.
-const LOCKED_BY: Duration = Duration::from_secs(60);
+/// The locked file. It has this name once it is locked.
+const LOCK: &str = "lock";
+
+/// The folder of the files.
+const FILES: &str = "files";
 
 /// A folder for this user alone. It is removed with everything in it when this value is dropped.
 #[derive(Debug)]
 pub struct TemporaryFolder {
-    folder: TempDir,
+    /// Where the files are.
+    files: PathBuf,
+    /// Removed when it is dropped.
+    _folder: TempDir,
     /// Locked. Dropped after the folder, which no other process may remove meanwhile.
     _lock: File,
 }
@@ -36,62 +42,68 @@ impl TemporaryFolder {
     /// Makes a folder in `place`.
     ///
     /// # Errors
-    /// If it cannot be created or opened. The error names the place.
+    /// If the folder or a file in it cannot be made.
     pub fn new_in(place: &Path) -> io::Result<Self> {
-        let folder = tempfile::Builder::new().prefix(PREFIX).tempdir_in(place)?;
-        let lock = File::open(folder.path())?;
-        // A file system may know no locks. There the folder stays if the process is killed.
+        let mut named = tempfile::Builder::new();
+        let folder = named.prefix(PREFIX).permissions(Permissions::from_mode(0o700)).tempdir_in(place)?;
+        let unlocked = folder.path().join("unlocked");
+        let lock = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&unlocked)?;
+        // Where there are no locks, nobody else can lock it either, and the folder stays if the process is killed.
         let _ = lock.try_lock();
-        Ok(Self { folder, _lock: lock })
+        fs::rename(&unlocked, folder.path().join(LOCK))?;
+        let files = folder.path().join(FILES);
+        fs::create_dir(&files)?;
+        Ok(Self { files, _folder: folder, _lock: lock })
     }
 
-    /// The folder's path.
+    /// Where its files are.
     pub fn path(&self) -> &Path {
-        self.folder.path()
+        &self.files
     }
 }
 
-/// Removes the temporary folders in `place` whose processes were killed. Returns their number.
+/// Removes the temporary folders of this user in `place` whose processes were killed. Returns their number.
 pub fn remove_abandoned(place: &Path) -> usize {
     let entries = fs::read_dir(place).into_iter().flatten().flatten();
     let named = entries.filter(|entry| entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()));
-    named.filter(|entry| is_abandoned(entry) && fs::remove_dir_all(entry.path()).is_ok()).count()
+    named.filter(is_removed).count()
 }
 
-fn is_abandoned(entry: &fs::DirEntry) -> bool {
-    let Ok(about) = entry.metadata() else { return false };
-    let age = about.modified().ok().and_then(|changed| SystemTime::now().duration_since(changed).ok());
-    let is_own = about.is_dir() && about.uid() == rustix::process::geteuid().as_raw();
-    let flags = (rustix::fs::OFlags::DIRECTORY | rustix::fs::OFlags::NOFOLLOW).bits().cast_signed();
-    let is_free = || {
-        let folder = OpenOptions::new().read(true).custom_flags(flags).open(entry.path());
-        folder.is_ok_and(|folder| folder.try_lock().is_ok())
-    };
-    is_own && age.is_some_and(|age| age > LOCKED_BY) && is_free()
+/// Whether a folder was abandoned, and could be removed.
+fn is_removed(entry: &fs::DirEntry) -> bool {
+    let is_own = |about: fs::Metadata| about.is_dir() && about.uid() == rustix::process::geteuid().as_raw();
+    if !entry.metadata().is_ok_and(is_own) {
+        return false;
+    }
+    let lock = entry.path().join(LOCK);
+    let lock = OpenOptions::new().write(true).custom_flags(super::plain_file()).open(lock);
+    // It stays locked until the folder is gone.
+    lock.is_ok_and(|lock| lock.try_lock().is_ok() && fs::remove_dir_all(entry.path()).is_ok())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeSet;
 
-    fn names(place: &Path) -> Vec<String> {
+    fn names(place: &Path) -> BTreeSet<String> {
         let entries = fs::read_dir(place).unwrap();
-        let mut names: Vec<String> =
-            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
-        names.sort();
-        names
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
     }
 
-    fn age(folder: &Path) {
-        let before = SystemTime::now() - 2 * LOCKED_BY;
-        File::open(folder).unwrap().set_modified(before).unwrap();
+    /// What a process leaves that is killed: all but the lock.
+    fn left_by_a_killed_process(place: &Path) -> PathBuf {
+        let TemporaryFolder { _folder, .. } = TemporaryFolder::new_in(place).unwrap();
+        _folder.keep()
     }
 
     #[test]
-    fn a_folder_is_removed_with_its_files_when_it_is_dropped() {
+    fn a_folder_is_its_users_alone_and_is_removed_with_its_files_when_it_is_dropped() {
         let place = tempfile::tempdir().unwrap();
         let folder = TemporaryFolder::new_in(place.path()).unwrap();
         fs::write(folder.path().join("image.exr"), "pixels").unwrap();
+        let mode = fs::metadata(folder.path().parent().unwrap()).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o700);
         assert_eq!(names(place.path()).len(), 1);
         drop(folder);
         assert!(names(place.path()).is_empty());
@@ -100,24 +112,19 @@ mod tests {
     #[test]
     fn what_a_killed_process_left_is_removed_and_nothing_else() {
         let place = tempfile::tempdir().unwrap();
-        let made = |name: &str| {
-            let folder = place.path().join(format!("{PREFIX}{name}"));
-            fs::create_dir(&folder).unwrap();
-            fs::write(folder.join("image.exr"), "pixels").unwrap();
-            folder
-        };
         let in_use = TemporaryFolder::new_in(place.path()).unwrap();
-        let (left, _young, other) = (made("left"), made("young"), place.path().join("forelight-data"));
-        fs::create_dir(&other).unwrap();
-        [in_use.path(), &left, &other].into_iter().for_each(age);
-        let link = place.path().join(format!("{PREFIX}link"));
-        std::os::unix::fs::symlink(&other, &link).unwrap();
-        assert_eq!(remove_abandoned(place.path()), 1);
-        let in_use_name = in_use.path().file_name().unwrap().to_str().unwrap().to_owned();
-        let mut expected =
-            vec!["forelight-data".to_owned(), format!("{PREFIX}link"), format!("{PREFIX}young"), in_use_name];
-        expected.sort();
-        assert_eq!(names(place.path()), expected);
+        let left = left_by_a_killed_process(place.path());
+        // Another's data, a link to a folder that was left elsewhere, and a folder that is still being made.
+        fs::create_dir(place.path().join("forelight-data")).unwrap();
+        let elsewhere = tempfile::tempdir().unwrap();
+        let aim = left_by_a_killed_process(elsewhere.path());
+        std::os::unix::fs::symlink(&aim, place.path().join(format!("{PREFIX}link"))).unwrap();
+        fs::create_dir(place.path().join(format!("{PREFIX}new"))).unwrap();
+        let mut expected = names(place.path());
+        expected.remove(left.file_name().unwrap().to_str().unwrap());
+        assert_eq!((remove_abandoned(place.path()), names(place.path())), (1, expected));
+        assert!(in_use.path().is_dir() && aim.is_dir());
+        assert_eq!(remove_abandoned(elsewhere.path()), 1);
         assert_eq!(remove_abandoned(&place.path().join("missing")), 0);
     }
 }

@@ -8,6 +8,7 @@ use crate::options::{MachineOptions, PreviewBackend, QualityOptions};
 use crate::output::Bars;
 use anyhow::{Context, Result};
 use clap::builder::TypedValueParser;
+use forelight_kept::TemporaryFolder;
 use forelight_preview::SharedPreviewer;
 use forelight_protocol::{FrameSet, RenderSettingsRequest, SceneDigest, ShotSettings};
 use forelight_renderer::door::{Description, Limits, Renderer, RendererError, Run, Settings, Shot};
@@ -134,7 +135,7 @@ pub struct Foreign {
     pub renderer: Box<dyn Renderer>,
     /// The scene.
     pub shot: Box<dyn Shot>,
-    scratch: tempfile::TempDir,
+    scratch: TemporaryFolder,
     limits: Limits,
 }
 
@@ -145,7 +146,7 @@ impl Foreign {
             return Err(BadInput::new(format!("{}: this file does not exist", scene.display())).into());
         }
         let renderer = renderer_of(scene, machine.preview)?;
-        let scratch = tempfile::tempdir().context("cannot make a temporary folder")?;
+        let scratch = TemporaryFolder::new().context("cannot make a temporary folder")?;
         let threads = machine.threads.map_or_else(cores, u32::from);
         let limits = Limits { threads, ..Limits::default() };
         let spinner = bars.spinner(format!("loading {} with {}", scene.display(), renderer.id()));

@@ -3,8 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::variance_curve::{Terms, between};
-use super::variance_fit::{VarianceFit, weighted};
+use super::variance_curve::{Terms, between, weighted};
+use super::variance_fit::VarianceFit;
 use super::{NoiseCell, PixelNoise};
 use crate::error::ForecastError;
 use crate::interval::{Calibration, Part, combined, quantity};

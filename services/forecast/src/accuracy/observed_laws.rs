@@ -1,15 +1,14 @@
 //! How the variance of an unfinished image falls with samples, by the image itself.
 //!
-//! When a pixel goes from n to m samples, its mean moves by V(n) − V(m) in the mean square. So all pixels together
-//! show how far the variance has fallen, and which terms of the law ([`super::Terms`]) explain that. Tiles with many
-//! samples show edges of lamps and glossy things. So tiles are grouped by number of samples, and each group has its
-//! own law.
+//! When a pixel goes from n to m samples, its mean moves by V(n) − V(m) in the mean square. So all pixels
+//! together show how far the variance has fallen, and which terms of the law ([`super::Terms`]) explain that.
+//! Tiles with many samples show edges of lamps and glossy things. So tiles are grouped by number of samples, and
+//! each group has its own law.
 
 use super::Terms;
 use super::allot::Zone;
 use super::sampled_pixel::SampledPixel;
-use super::variance_curve::{powers_of_pixel, weighted};
-use super::variance_fit::MIN_INDEPENDENT_SHARE;
+use super::variance_curve::{powers_of_pixel, weighted, with_least_share};
 use crate::interval::Part;
 use crate::moments::sum;
 
@@ -17,8 +16,8 @@ use crate::moments::sum;
 const MAX_FACTOR: f64 = 4.0;
 /// Weight of all tiles in the law of a group of tiles, as a number of tiles.
 const ALL_TILES_WEIGHT: f64 = 4.0;
-/// The terms are told apart where the flattest moves pixels this many times as far as the steepest. At eight samples
-/// it is 2.7 times, at four 1.3 times.
+/// The terms are told apart where the flattest moves pixels this many times as far as the steepest. At eight
+/// samples it is 2.7 times, at four 1.3 times.
 const APART: f64 = 2.0;
 
 /// Laws of the variances of an image's tiles.
@@ -73,7 +72,7 @@ impl ObservedLaws {
     }
 
     /// The law of each tile, in the order of the tiles. `None`: the guess stands.
-    pub fn of_tiles(&self) -> impl Iterator<Item = Option<&Octave>> {
+    pub fn by_tile(&self) -> impl Iterator<Item = Option<&Octave>> {
         self.of_tiles.iter().map(|&of| self.octaves[of].as_ref().or(self.all.as_ref()))
     }
 
@@ -121,29 +120,36 @@ impl Movement {
         moved
     }
 
-    /// The law that explains the movement.
-    fn law(&self) -> Terms {
-        let [steepest, _, flattest] = self.of_terms;
+    /// The law that explains a movement of `observed`.
+    fn law(&self, observed: f64) -> Terms {
+        let [steep, edges, random] = self.of_terms;
         let of_one = sum(self.variance.iter().copied());
         let bounded = |factor: f64| factor.clamp(1.0 / MAX_FACTOR, MAX_FACTOR);
-        if flattest < APART * steepest {
-            let factor = bounded(self.observed / self.guessed);
+        if !(steep < edges && edges < random && APART * steep <= random) {
+            let factor = bounded(observed / self.guessed);
             return self.variance.map(|term| factor * term / of_one);
         }
         // A mixture of the two terms between which the movement lies.
-        let flat = if self.observed > self.of_terms[1] { 2 } else { 1 };
+        let flat = if observed > edges { 2 } else { 1 };
         let [lower, upper] = [self.of_terms[flat - 1], self.of_terms[flat]];
-        let share = ((self.observed - lower) / (upper - lower)).clamp(0.0, 1.0);
+        let share = ((observed - lower) / (upper - lower)).clamp(0.0, 1.0);
         let mut law = Terms::default();
         (law[flat - 1], law[flat]) = (1.0 - share, share);
-        // Light found by chance may show late.
-        let left = weighted(&law, &self.left);
-        if law[2] * self.left[2] < MIN_INDEPENDENT_SHARE * left {
-            law = law.map(|term| term * (1.0 - MIN_INDEPENDENT_SHARE));
-            law[2] = MIN_INDEPENDENT_SHARE * left / self.left[2];
-        }
-        let factor = bounded(self.observed / weighted(&law, &self.of_terms));
+        let law = with_least_share(&law, &self.left).unwrap_or(law);
+        let factor = bounded(observed / weighted(&law, &self.of_terms));
         law.map(|term| factor * term)
+    }
+
+    /// The variance that a law leaves.
+    fn left_by(&self, law: &Terms) -> f64 {
+        weighted(law, &self.left)
+    }
+
+    /// By how many per cent the variance that is left changes, if the movement changes by one.
+    fn elasticity(&self) -> f64 {
+        const CHANGE: f64 = 1.05;
+        let left = |observed: f64| self.left_by(&self.law(observed));
+        libm::log(left(self.observed * CHANGE) / left(self.observed)) / libm::log(CHANGE)
     }
 }
 
@@ -164,17 +170,19 @@ impl Octave {
     fn from_tiles(tiles: &[Movement]) -> Option<Self> {
         let mut all = Movement::default();
         tiles.iter().for_each(|tile| all += *tile);
-        let factor = all.observed / all.guessed;
-        if tiles.len() < 2 || all.observed <= 0.0 || !factor.is_finite() {
+        if tiles.len() < 2 || all.observed <= 0.0 || !(all.observed / all.guessed).is_finite() {
             return None;
         }
-        let rest = |tile: &Movement| {
-            (tile.observed - factor * tile.guessed) * (tile.observed - factor * tile.guessed)
-        };
+        let law = all.law(all.observed);
+        let factor = all.observed / weighted(&law, &all.of_terms);
+        let rest = |tile: &Movement| tile.observed - factor * weighted(&law, &tile.of_terms);
         let freedom = (tiles.len() - 1) as f64;
-        let squares = sum(tiles.iter().map(rest));
-        let variance = squares / (all.observed * all.observed) * (tiles.len() as f64 / freedom);
-        Some(Self { law: all.law(), uncertainty: Part { variance, degrees_of_freedom: freedom } })
+        let squares = sum(tiles.iter().map(|tile| rest(tile) * rest(tile)));
+        let relative = squares / (all.observed * all.observed) * (tiles.len() as f64 / freedom);
+        // A bounded law is no surer than one that follows the movement.
+        let elasticity = all.elasticity().max(1.0);
+        let variance = elasticity * elasticity * relative;
+        Some(Self { law, uncertainty: Part { variance, degrees_of_freedom: freedom } })
     }
 
     /// The law of some of the tiles, shrunk towards `self`. `None` if they show too little.
@@ -183,7 +191,10 @@ impl Octave {
         let count = some.len() as f64;
         let weight = count / (count + ALL_TILES_WEIGHT);
         let law = std::array::from_fn(|k| weight * own.law[k] + (1.0 - weight) * self.law[k]);
-        let variance = own.uncertainty.variance * weight;
+        let mut moved = Movement::default();
+        some.iter().for_each(|tile| moved += *tile);
+        let larger = moved.left_by(&own.law) / moved.left_by(&law);
+        let variance = own.uncertainty.variance * weight * larger * larger;
         Some(Self { law, uncertainty: Part { variance, ..own.uncertainty } })
     }
 }
@@ -223,14 +234,14 @@ mod tests {
 
     /// Of each tile: the variance of one sample, over the guess.
     fn factors(found: &ObservedLaws) -> Vec<f64> {
-        found.of_tiles().map(|octave| octave.map_or(1.0, |octave| octave.law.iter().sum())).collect()
+        found.by_tile().map(|octave| octave.map_or(1.0, |octave| octave.law.iter().sum())).collect()
     }
 
     #[test]
     fn what_few_samples_changed_says_how_far_the_variance_has_fallen() {
         for (factor, taken) in [(1.0, 1.0), (1.7, 1.7), (0.6, 0.6), (9.0, MAX_FACTOR)] {
             let found = laws(&vec![guessed(factor); 20], &[4.0; 20]);
-            let octave = found.of_tiles().next().unwrap().unwrap();
+            let octave = found.by_tile().next().unwrap().unwrap();
             assert!((factors(&found)[0] / taken - 1.0).abs() < 0.02, "{factor}: {found:?}");
             assert!((octave.law[1] / octave.law[2] - 3.0).abs() < 1e-9 && octave.law[0] == 0.0, "{octave:?}");
             assert!(octave.uncertainty.variance < 1e-3 && octave.uncertainty.degrees_of_freedom == 19.0);
@@ -238,13 +249,15 @@ mod tests {
         // Where nothing is known, the guess stands.
         for tiles in [vec![], vec![guessed(2.0)], vec![guessed(0.0); 9]] {
             let found = laws(&tiles, &vec![4.0; tiles.len()]);
-            assert!(found.of_tiles().all(|octave| octave.is_none()));
+            assert!(found.by_tile().all(|octave| octave.is_none()));
         }
     }
 
     #[test]
     fn what_many_samples_changed_says_by_which_law_the_variance_falls() {
         for (samples, law) in [
+            (64, [0.0, 0.97, 0.03]),
+            (64, [0.0, 0.95, 0.05]),
             (16, [0.0, 0.0, 1.0]),
             (16, [0.0, 0.5, 0.5]),
             (64, [0.0, 0.9, 0.1]),
@@ -253,14 +266,37 @@ mod tests {
             (64, [0.7, 0.3, 0.0]),
         ] {
             let found = laws(&vec![tile(samples, law, 1.0); 20], &[f64::from(samples); 20]);
-            let octave = found.of_tiles().next().unwrap().unwrap();
+            let octave = found.by_tile().next().unwrap().unwrap();
             for more in [1.0, 4.0] {
                 let at = |law: &Terms| weighted(law, &powers(more * f64::from(samples)));
-                // A third of what is left may be found by chance.
-                let bound = if law[2] > 0.3 { 1.05 } else { 1.3 * more.sqrt() };
+                // At least a third of what is left counts as found by chance.
+                let chance = law[2] / f64::from(samples) / weighted(&law, &powers(f64::from(samples)));
+                let bound = if chance > 0.34 { 1.01 } else { 1.33 * more.sqrt() };
                 let ratio = at(&octave.law) / at(&law);
                 assert!(ratio > 0.95 && ratio < bound, "{law:?}, {more}: {ratio} {octave:?}");
             }
+        }
+    }
+
+    #[test]
+    fn more_movement_never_forecasts_less_variance() {
+        let steep = tile(16, [1.0, 0.0, 0.0], 1.0);
+        let mut before = Terms::default();
+        for factor in 1..60 {
+            let moved: Vec<SampledPixel> = steep
+                .iter()
+                .map(|pixel| SampledPixel {
+                    grown: pixel.grown.map(|(n, square)| (n, 0.1 * f64::from(factor) * square)),
+                    ..*pixel
+                })
+                .collect();
+            let found = laws(&vec![moved; 20], &[16.0; 20]);
+            let law = found.by_tile().next().unwrap().unwrap().law;
+            for samples in [16.0, 64.0, 1024.0] {
+                let [was, is] = [before, law].map(|law| weighted(&law, &powers(samples)));
+                assert!(is >= was * (1.0 - 1e-9), "{samples} samples, {factor}: {law:?} after {before:?}");
+            }
+            before = law;
         }
     }
 

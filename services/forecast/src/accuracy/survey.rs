@@ -2,7 +2,7 @@
 //!
 //! A profile of some pixels misses, for example, the bright spot beside a lamp, but the image shows it. Each
 //! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. How it falls with samples is
-//! read from the later half of all pixels' samples (`observed_laws`). What these do not tell comes from the profile
+//! read from the later samples of all pixels (`observed_laws`). What these do not tell comes from the profile
 //! of the same materials.
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
@@ -50,7 +50,7 @@ impl Survey {
         let samples: Vec<f64> = tiles.iter().map(samples).collect();
         let laws = ObservedLaws::new(tiles, &zones, &samples);
         for ((zone, octave), (tile, samples)) in
-            zones.iter_mut().zip(laws.of_tiles()).zip(tiles.iter().zip(&samples))
+            zones.iter_mut().zip(laws.by_tile()).zip(tiles.iter().zip(&samples))
         {
             if let Some(Octave { law, .. }) = octave {
                 let of_one = sum(zone.variance.iter().copied());

@@ -1,17 +1,14 @@
-//! Fits the law of [`super::variance_curve`] to the drops of an image's variance ([`super::PixelNoise::drops`]).
+//! Fits the law of [`super::variance_curve`] to the drops of an image's variance
+//! ([`super::PixelNoise::drops`]).
 
 use super::PixelNoise;
-use super::variance_curve::{self, EXPONENTS, RANDOM, Terms, powers, powers_of_pixel};
+use super::variance_curve::{EXPONENTS, RANDOM, Terms, powers, powers_of_pixel, weighted, with_least_share};
 use crate::moments::sum;
 
-/// Least share of C / n in the variance at the last sampled number of samples. Few pixels may suggest none,
-/// which halved the error forecast for sixteen times as many samples on the test scenes. In three rooms the
-/// variance at 16 samples was 5.8 times that at 64. With this share, and the rest at n^−1.5, it is 6 times.
-pub(super) const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
-
-/// By how much a drop may differ from the law for each doubling before the last. The last ones tell best how the
-/// variance goes on, where they are sure. (Plain scenes at 240 × 135, forecasts for 16 and for 64 samples from 16.
-/// With the same deviation for all drops: 1.2 to 1.4 times the true error. With this: 1.03 to 1.25 times.)
+/// By how much a drop may differ from the law for each doubling before the last. The last ones tell best how
+/// the variance goes on, where they are sure. (Plain scenes at 240 × 135, forecasts for 16 and for 64 samples
+/// from 16. With the same deviation for all drops: 1.2 to 1.4 times the true error. With this: 1.03 to 1.3
+/// times.)
 const DEVIATION_OF_LAW: f64 = 0.15;
 
 /// The same of the last doubling.
@@ -22,44 +19,28 @@ const LEAST_DEVIATION: f64 = 0.01;
 pub(super) struct VarianceFit {
     /// Weight of each drop in each term.
     weights: [Vec<f64>; 3],
-    /// Weights for the largest plausible C (all C / n). Only set where C was below [`MIN_INDEPENDENT_SHARE`].
+    /// Weights for the largest plausible C (all C / n). Only set where C got its least share.
     pub at_most: Option<Vec<f64>>,
 }
 
 impl VarianceFit {
-    /// Weighted least squares over an image's drops, of which these are the variances. It has one term, or two
-    /// neighbouring ones, and neither is negative.
+    /// Non-negative least squares over an image's drops, of which these are the variances: of one term or of two
+    /// neighbouring ones. C then gets its least share.
     pub fn new(drops: &[f64], variances: &[f64]) -> Self {
         let least_squares = LeastSquares::new(drops, variances);
-        let value = |weights: &[f64]| weighted(weights, drops);
-        // From the flattest terms to the steepest. A single drop tells no two terms apart.
-        let pairs = if drops.len() < 2 { 0..0 } else { 0..2 };
-        let fitted = pairs.rev().find_map(|steep| {
-            let flat = steep + 1;
-            let [of_steep, of_flat] = least_squares.of_two(steep, flat);
-            if value(&of_steep) <= 0.0 {
-                return Some(least_squares.of_one(flat));
-            }
-            if value(&of_flat) > 0.0 {
-                let mut both = [(); 3].map(|()| vec![0.0; drops.len()]);
-                (both[steep], both[flat]) = (of_steep, of_flat);
-                return Some(both);
-            }
-            (steep == 0).then(|| least_squares.of_one(steep))
-        });
-        let weights = fitted.unwrap_or_else(|| least_squares.of_one(2));
         let powers = powers(libm::exp2(drops.len() as f64));
-        let parts: Terms = std::array::from_fn(|which| value(&weights[which]) * powers[which]);
-        let [steep, edges, random] = parts;
-        if random >= MIN_INDEPENDENT_SHARE * (steep + edges + random) {
-            return Self { weights, at_most: None };
-        }
-        // Fitted once more, with that share.
-        let rest = (1.0 - MIN_INDEPENDENT_SHARE) / (steep + edges);
-        let shares = [rest * steep, rest * edges, MIN_INDEPENDENT_SHARE];
-        Self {
-            weights: least_squares.of(std::array::from_fn(|which| shares[which] / powers[which])),
-            at_most: Some(least_squares.factor(RANDOM)),
+        let value = |weights: &[f64]| weighted(weights, drops);
+        let fits = least_squares.fits(drops).into_iter();
+        // That of random samples alone is among them.
+        let best = fits.min_by(|one, other| one.misfit.total_cmp(&other.misfit));
+        let weights = best.map(|best| best.weights).unwrap_or_default();
+        let terms = std::array::from_fn(|which| value(&weights[which]));
+        match with_least_share(&terms, &powers) {
+            None => Self { weights, at_most: None },
+            // Fitted once more, with that share.
+            Some(terms) => {
+                Self { weights: least_squares.of(terms), at_most: Some(least_squares.factor(RANDOM)) }
+            }
         }
     }
 
@@ -70,13 +51,16 @@ impl VarianceFit {
 
     /// V(n) of a pixel at `samples` samples, beyond what was sampled.
     pub fn beyond(&self, pixel: &PixelNoise, samples: u32) -> f64 {
-        variance_curve::weighted(&self.terms(pixel), &powers_of_pixel(samples))
+        weighted(&self.terms(pixel), &powers_of_pixel(samples))
     }
 }
 
-/// A linear combination of drops.
-pub(super) fn weighted(weights: &[f64], drops: &[f64]) -> f64 {
-    sum(weights.iter().zip(drops).map(|(weight, drop)| weight * drop))
+/// A fit of some terms.
+struct Fit {
+    /// Weight of each drop in each term.
+    weights: [Vec<f64>; 3],
+    /// Sum of the weighted squares of what it does not explain.
+    misfit: f64,
 }
 
 /// Weighted least squares over an image's drops.
@@ -86,8 +70,8 @@ struct LeastSquares {
 }
 
 impl LeastSquares {
-    /// A drop's deviation is that of its estimate and that of the law, relative to its scale. Few pixels may look
-    /// alike by chance, so no drop is taken to be surer than those before it.
+    /// A drop's deviation is that of its estimate and that of the law, relative to its scale. Few pixels may
+    /// look alike by chance, so no drop is taken to be surer than those before it.
     fn new(drops: &[f64], variances: &[f64]) -> Self {
         let mut estimate = 0.0f64;
         let weight = |(k, scale): (usize, f64)| {
@@ -99,17 +83,34 @@ impl LeastSquares {
         Self { weights: scales(drops).into_iter().enumerate().map(weight).collect() }
     }
 
+    /// The fits of each term and of two neighbouring ones, as far as no term is negative. A single drop tells no
+    /// two terms apart. Noise looks like A and C without B, too: with that choice, forecasts in modern-hall were
+    /// 1.2 and 1.35 times the true error at 16 and at 64 samples.
+    fn fits(&self, drops: &[f64]) -> Vec<Fit> {
+        let alone = [2, 1, 0].map(|which| {
+            let mut terms = Terms::default();
+            terms[which] = 1.0;
+            self.of(terms)
+        });
+        let both = [(1, 2), (0, 1)].map(|(one, other)| {
+            let mut weights = [(); 3].map(|()| vec![0.0; drops.len()]);
+            [weights[one], weights[other]] = self.of_two(one, other);
+            weights
+        });
+        let pairs = if drops.len() < 2 { 0 } else { both.len() };
+        let fit = |weights: [Vec<f64>; 3]| {
+            let terms: Terms = std::array::from_fn(|which| weighted(&weights[which], drops));
+            let rest = |k: usize| drops[k] - sum((0..3).map(|which| terms[which] * drop_of(which, k)));
+            let misfit = sum((0..drops.len()).map(|k| self.weights[k] * rest(k) * rest(k)));
+            terms.iter().all(|term| *term >= 0.0).then_some(Fit { weights, misfit })
+        };
+        alone.into_iter().chain(both.into_iter().take(pairs)).filter_map(fit).collect()
+    }
+
     /// Weight of each drop in each term, if the variance is a multiple of `terms`.
     fn of(&self, terms: Terms) -> [Vec<f64>; 3] {
         let factor = self.factor(terms);
         terms.map(|term| factor.iter().map(|weight| term * weight).collect())
-    }
-
-    /// The same for a single term.
-    fn of_one(&self, which: usize) -> [Vec<f64>; 3] {
-        let mut terms = Terms::default();
-        terms[which] = 1.0;
-        self.of(terms)
     }
 
     /// Weight of each drop in the factor of `terms`.
@@ -142,9 +143,9 @@ fn drop_of(which: usize, k: usize) -> f64 {
 }
 
 /// Scales of drops: the fit's errors count relative to them. A scale is the drop itself, but after the one before
-/// it falls by no less than B / n^1.5 and no more than C / n would. Later drops come from fewer pairs of
-/// samples. Relative to themselves, those that are low by chance would count most, and forecasts were too low
-/// by up to a quarter (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
+/// it falls at least as C / n and at most as B / n^1.5. Later drops come from fewer pairs of samples. Relative to
+/// themselves, those that are low by chance would count most, and forecasts were too low by up to a quarter
+/// (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
 fn scales(drops: &[f64]) -> Vec<f64> {
     let largest = drops.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let [_, steep, flat] = EXPONENTS.map(|exponent| libm::exp2(-exponent));
