@@ -28,7 +28,8 @@ pub const LARGEST: u64 = 1 << 30;
 /// This many bytes of the disk stay free.
 const LEAST_FREE: u64 = 2 << 30;
 
-/// Start of the name of a file that is being written. [`Folder::make_room`] deletes those that were left behind.
+/// Start of the name of a file that is being written. [`Folder::make_room`] deletes those that were left
+/// behind.
 pub const UNFINISHED: &str = ".keeping-";
 
 /// An unfinished file of this age was left behind by a process that ended.

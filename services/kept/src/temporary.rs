@@ -1,8 +1,9 @@
 //! Folders that are not kept: for the time of a task or of a program.
 //!
 //! A process that is killed cannot remove its own. So beside the files of each folder there is a file that is
-//! locked while its process lives, and [`remove_abandoned`] removes the folders whose file nobody locks. A file is
-//! locked, because on a network's file systems other machines see that. They do not see locks of folders.
+//! locked while its process lives, and [`remove_abandoned`] removes the folders whose file nobody locks. A
+//! file is locked, because on a network's file systems other machines see that. They do not see locks of
+//! folders.
 
 use std::fs::{self, File, OpenOptions, Permissions};
 use std::io;
@@ -48,7 +49,8 @@ impl TemporaryFolder {
         let folder = named.prefix(PREFIX).permissions(Permissions::from_mode(0o700)).tempdir_in(place)?;
         let unlocked = folder.path().join("unlocked");
         let lock = OpenOptions::new().write(true).create_new(true).mode(0o600).open(&unlocked)?;
-        // Where there are no locks, nobody else can lock it either, and the folder stays if the process is killed.
+        // Where there are no locks, nobody else can lock it either, and the folder stays if the process is
+        // killed.
         let _ = lock.try_lock();
         fs::rename(&unlocked, folder.path().join(LOCK))?;
         let files = folder.path().join(FILES);

@@ -38,8 +38,8 @@ pub struct Zone {
 
 impl Zone {
     /// Builds a zone of an image from its cells ([`super::NoiseGroup::cells`]) and the costs of its profiled
-    /// pixels at `spp` camera samples. Its curve is shrunk towards that of the whole image, which stands beside
-    /// the image ([`ImageNoise::curve`]).
+    /// pixels at `spp` camera samples. Its curve is shrunk towards that of the whole image, which stands
+    /// beside the image ([`ImageNoise::curve`]).
     ///
     /// # Errors
     /// [`ForecastError::NoSamples`] if a cell or `costs` is empty.
@@ -93,8 +93,8 @@ impl Zone {
         if self.gain(MOST_SAMPLES) >= price {
             return MOST_SAMPLES;
         }
-        // Times n³, gain = price is a polynomial in s = √n: price s⁶ − square s² − linear s − constant = 0. It
-        // has one positive root and is convex beyond it, so Newton's method started above descends to it.
+        // Times n³, gain = price is a polynomial in s = √n: price s⁶ − square s² − linear s − constant = 0.
+        // It has one positive root and is convex beyond it, so Newton's method started above descends to it.
         let [constant, linear, square] = self.slopes();
         let price = price * self.cost();
         // The root is above 1. Hence s⁴ is at most three times the largest coefficient over the price.

@@ -101,7 +101,7 @@ impl ImageNoise {
         let (mean, part) = noise.stratified(|pixel| pixel.brightness);
         noise.mean = mean;
         noise.mean_variance = if mean > 0.0 { part.variance / mean / mean } else { 0.0 };
-        let drops = (0..levels).map(|k| noise.stratified(|pixel| pixel.drops[k]));
+        let drops = (0..levels).map(|k| noise.drop(k));
         let (drops, parts): (Vec<f64>, Vec<Part>) = drops.unzip();
         let variances: Vec<f64> = parts.iter().map(|part| part.variance).collect();
         noise.fit = VarianceFit::new(&drops, &variances);
@@ -115,7 +115,11 @@ impl ImageNoise {
 
     /// Mean drops of the image's variance (see [`PixelNoise::drops`]), in brightness squared.
     pub fn drops(&self) -> Vec<f64> {
-        (0..self.levels).map(|k| self.stratified(|pixel| pixel.drops[k]).0).collect()
+        (0..self.levels).map(|k| self.drop(k).0).collect()
+    }
+
+    fn drop(&self, k: usize) -> (f64, Part) {
+        self.stratified(|pixel| pixel.drops[k])
     }
 
     /// The image's variance: the mean over its pixels.

@@ -2,8 +2,8 @@
 //!
 //! When a pixel goes from n to m samples, its mean moves by V(n) − V(m) in the mean square. So all pixels
 //! together show how far the variance has fallen, and which terms of the law ([`super::Terms`]) explain that.
-//! Tiles with many samples show edges of lamps and glossy things. So tiles are grouped by number of samples, and
-//! each group has its own law.
+//! Tiles with many samples show edges of lamps and glossy things. So tiles are grouped by number of samples,
+//! and each group has its own law.
 
 use super::Terms;
 use super::allot::Zone;
@@ -120,6 +120,12 @@ impl Movement {
         moved
     }
 
+    fn of_all(tiles: &[Self]) -> Self {
+        let mut all = Self::default();
+        tiles.iter().for_each(|tile| all += *tile);
+        all
+    }
+
     /// The law that explains a movement of `observed`.
     fn law(&self, observed: f64) -> Terms {
         let [steep, edges, random] = self.of_terms;
@@ -165,11 +171,10 @@ impl std::ops::AddAssign for Movement {
 }
 
 impl Octave {
-    /// The law of some tiles, with the relative variance of a ratio estimator (Cochran 1977, section 6.4). `None`
-    /// if they show too little.
+    /// The law of some tiles, with the relative variance of a ratio estimator (Cochran 1977, section 6.4).
+    /// `None` if they show too little.
     fn from_tiles(tiles: &[Movement]) -> Option<Self> {
-        let mut all = Movement::default();
-        tiles.iter().for_each(|tile| all += *tile);
+        let all = Movement::of_all(tiles);
         if tiles.len() < 2 || all.observed <= 0.0 || !(all.observed / all.guessed).is_finite() {
             return None;
         }
@@ -191,8 +196,7 @@ impl Octave {
         let count = some.len() as f64;
         let weight = count / (count + ALL_TILES_WEIGHT);
         let law = std::array::from_fn(|k| weight * own.law[k] + (1.0 - weight) * self.law[k]);
-        let mut moved = Movement::default();
-        some.iter().for_each(|tile| moved += *tile);
+        let moved = Movement::of_all(some);
         let larger = moved.left_by(&own.law) / moved.left_by(&law);
         let variance = own.uncertainty.variance * weight * larger * larger;
         Some(Self { law, uncertainty: Part { variance, ..own.uncertainty } })
@@ -204,8 +208,8 @@ mod tests {
     use super::*;
     use crate::accuracy::variance_curve::powers;
 
-    /// A tile of 64 pixels that went from half of these samples to all. Means moved by `factor` times what `law`
-    /// says in the mean square, if the variance of one sample is 4.
+    /// A tile of 64 pixels that went from half of these samples to all. Means moved by `factor` times what
+    /// `law` says in the mean square, if the variance of one sample is 4.
     fn tile(samples: u32, law: Terms, factor: f64) -> Vec<SampledPixel> {
         let [then, now] = [samples / 2, samples].map(|n| weighted(&law, &powers(f64::from(n))));
         let pixel = |i: usize| SampledPixel {

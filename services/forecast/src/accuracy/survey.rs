@@ -1,9 +1,9 @@
 //! Where further samples reduce the error of an unfinished image most.
 //!
 //! A profile of some pixels misses, for example, the bright spot beside a lamp, but the image shows it. Each
-//! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. How it falls with samples is
-//! read from the later samples of all pixels (`observed_laws`). What these do not tell comes from the profile
-//! of the same materials.
+//! tile becomes a zone ([`super::allot`]) with the mean sample variance of its pixels. How it falls with
+//! samples is read from the later samples of all pixels (`observed_laws`). What these do not tell comes from
+//! the profile of the same materials.
 
 use super::allot::{Zone, samples_for_budget, samples_for_variance};
 use super::observed_laws::{ObservedLaws, Octave};
@@ -217,8 +217,8 @@ mod tests {
         let [calm, wild, unknown, spot] = survey.zones() else { panic!() };
         let total = |zone: &Zone| sum(zone.variance.iter().copied());
         assert!(total(calm) < 0.02 && total(calm) > 1e-4, "{calm:?}");
-        // Four samples: expected spread 1 − 0.25 / 16 − 0.5 / 8 − 0.25 / 4 of the variance; the sample variance
-        // adds 4 / 3.
+        // Four samples: expected spread 1 − 0.25 / 16 − 0.5 / 8 − 0.25 / 4 of the variance; the sample
+        // variance adds 4 / 3.
         let variance = 2.0 * 0.75 / (1.0 - 0.25 / 16.0 - 0.5 / 8.0 - 0.25 / 4.0);
         assert!((total(wild) - (variance + 0.1 * 4.0) / 2.1).abs() < 1e-12);
         assert!(total(spot) > 4000.0, "{spot:?}");

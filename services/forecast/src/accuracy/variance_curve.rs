@@ -1,8 +1,8 @@
 //! The variance of a pixel with n samples: A / n² + B / n^1.5 + C / n.
 //!
 //! Samples are points of scrambled nets. The first term is theirs for light that changes smoothly over the
-//! pixel and the lamps. The second is theirs for an edge across the pixel (Mitchell 1996; Owen 1997). The third
-//! is that of random samples.
+//! pixel and the lamps. The second is theirs for an edge across the pixel (Mitchell 1996; Owen 1997). The
+//! third is that of random samples.
 
 use crate::moments::sum;
 
@@ -21,13 +21,13 @@ pub(super) fn powers(samples: f64) -> Terms {
     [1.0 / (samples * samples), 1.0 / (samples * libm::sqrt(samples)), 1.0 / samples]
 }
 
-/// Least share of C / n in a variance that is extrapolated. Few pixels may suggest none, which halved the error
-/// forecast for sixteen times as many samples on the test scenes. In three rooms the variance at 16 samples was
-/// 5.8 times that at 64. With this share, and the rest at n^−1.5, it is 6 times.
+/// Least share of C / n in a variance that is extrapolated. Few pixels may suggest none, which halved the
+/// error forecast for sixteen times as many samples on the test scenes. In three rooms the variance at 16
+/// samples was 5.8 times that at 64. With this share, and the rest at n^−1.5, it is 6 times.
 const MIN_INDEPENDENT_SHARE: f64 = 1.0 / 3.0;
 
-/// Terms with the same variance where they count by `powers`, of which C / n has at least that share. `None` if it
-/// has.
+/// Terms with the same variance where they count by `powers`, of which C / n has at least that share. `None`
+/// if it has.
 pub(super) fn with_least_share(terms: &Terms, powers: &Terms) -> Option<Terms> {
     let [steep, edges, random] = std::array::from_fn(|which| terms[which] * powers[which]);
     let all = steep + edges + random;

@@ -24,8 +24,8 @@ pub(super) struct VarianceFit {
 }
 
 impl VarianceFit {
-    /// Non-negative least squares over an image's drops, of which these are the variances: of one term or of two
-    /// neighbouring ones. C then gets its least share.
+    /// Non-negative least squares over an image's drops, of which these are the variances: of one term or of
+    /// two neighbouring ones. C then gets its least share.
     pub fn new(drops: &[f64], variances: &[f64]) -> Self {
         let least_squares = LeastSquares::new(drops, variances);
         let powers = powers(libm::exp2(drops.len() as f64));
@@ -83,15 +83,11 @@ impl LeastSquares {
         Self { weights: scales(drops).into_iter().enumerate().map(weight).collect() }
     }
 
-    /// The fits of each term and of two neighbouring ones, as far as no term is negative. A single drop tells no
-    /// two terms apart. Noise looks like A and C without B, too: with that choice, forecasts in modern-hall were
-    /// 1.2 and 1.35 times the true error at 16 and at 64 samples.
+    /// The fits of each term and of two neighbouring ones, as far as no term is negative. A single drop tells
+    /// no two terms apart. Noise looks like A and C without B, too: with that choice, forecasts in
+    /// modern-hall were 1.2 and 1.35 times the true error at 16 and at 64 samples.
     fn fits(&self, drops: &[f64]) -> Vec<Fit> {
-        let alone = [2, 1, 0].map(|which| {
-            let mut terms = Terms::default();
-            terms[which] = 1.0;
-            self.of(terms)
-        });
+        let alone = [RANDOM, [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]].map(|terms| self.of(terms));
         let both = [(1, 2), (0, 1)].map(|(one, other)| {
             let mut weights = [(); 3].map(|()| vec![0.0; drops.len()]);
             [weights[one], weights[other]] = self.of_two(one, other);
@@ -142,10 +138,10 @@ fn drop_of(which: usize, k: usize) -> f64 {
     libm::exp2(-exponent * k as f64) * (1.0 - libm::exp2(-exponent))
 }
 
-/// Scales of drops: the fit's errors count relative to them. A scale is the drop itself, but after the one before
-/// it falls at least as C / n and at most as B / n^1.5. Later drops come from fewer pairs of samples. Relative to
-/// themselves, those that are low by chance would count most, and forecasts were too low by up to a quarter
-/// (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
+/// Scales of drops: the fit's errors count relative to them. A scale is the drop itself, but after the one
+/// before it falls at least as C / n and at most as B / n^1.5. Later drops come from fewer pairs of samples.
+/// Relative to themselves, those that are low by chance would count most, and forecasts were too low by up to
+/// a quarter (country-kitchen at 240 × 135, 16 samples: 8.3 % instead of 11.5 % for 11.3 %).
 fn scales(drops: &[f64]) -> Vec<f64> {
     let largest = drops.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let [_, steep, flat] = EXPONENTS.map(|exponent| libm::exp2(-exponent));
