@@ -6,13 +6,13 @@
 //! such as estimates, learning about nodes and shared flushes.
 
 use anyhow::{Context, Result, anyhow};
-use forelight_protocol::{NodeId, TaskResult, Timestamp};
+use forelight_protocol::{NodeId, Timestamp};
 use rusqlite::{Connection, OptionalExtension as _, Transaction, TransactionBehavior, params};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use uuid::Uuid;
 
-use super::filling::{LEASE, image, rendered};
+use super::filling::{Images, LEASE, rendered};
 
 /// Numbers of threads to try.
 const THREADS: [u32; 3] = [1, 2, 4];
@@ -21,6 +21,7 @@ const THREADS: [u32; 3] = [1, 2, 4];
 pub struct Bare {
     path: PathBuf,
     node: NodeId,
+    images: Images,
     result: String,
     /// Best number of threads, set by [`Bare::try_threads`].
     pub threads: u32,
@@ -29,8 +30,9 @@ pub struct Bare {
 impl Bare {
     /// Takes a database that the farm has filled and no longer uses.
     pub fn new(database: &Path, node: NodeId) -> Result<Self> {
-        let result: TaskResult = rendered(0, 1);
-        Ok(Self { path: database.to_owned(), node, result: serde_json::to_string(&result)?, threads: 1 })
+        let images = Images::new()?;
+        let result = serde_json::to_string(&rendered(images, 0, 1))?;
+        Ok(Self { path: database.to_owned(), node, images, result, threads: 1 })
     }
 
     /// Finds the best number of threads, with `time` for each.
@@ -140,13 +142,15 @@ impl Bare {
         let now = Timestamp::now().micros();
         let write = Write::begin(connection)?;
         write.check(held)?;
-        let image = image().0;
         let hash = *blake3::hash(self.result.as_bytes()).as_bytes();
         write.run(
             "INSERT INTO results (task_id, lease_id, body, body_hash, committed_at) VALUES (?, ?, ?, ?, ?)",
             params![held.task, held.lease, self.result, hash, now],
         )?;
-        write.run("INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)", params![held.task, image])?;
+        for image in [self.images.exr, self.images.png] {
+            let named = "INSERT INTO result_artifacts (task_id, hash) VALUES (?, ?)";
+            write.run(named, params![held.task, image.0])?;
+        }
         write.run(
             "UPDATE leases SET state = 'committed', ended_at = ? WHERE id = ?",
             params![now, held.lease],

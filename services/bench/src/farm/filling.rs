@@ -9,13 +9,38 @@ use forelight_protocol::{
 };
 use forelight_quote::JobForecast;
 use forelight_store::{Answered, NewBooking, NewJob, NewJobPlan, NewPlan, Store, StoreError};
+use image::{ImageFormat, Rgb32FImage, RgbImage};
 use std::collections::BTreeSet;
+use std::io::Cursor;
 use std::time::Duration;
 
 /// Duration of leases. Long, so that none expires during a measurement.
 pub const LEASE: Duration = Duration::from_secs(30);
 
-const IMAGE: &[u8] = b"an image";
+/// Width and height of every frame.
+const SIZE: u32 = 8;
+
+/// The files of every made-up frame. The farm checks that they are images of the frame's size.
+#[derive(Debug, Clone, Copy)]
+pub struct Images {
+    /// The OpenEXR image.
+    pub exr: ArtifactHash,
+    /// The PNG image.
+    pub png: ArtifactHash,
+}
+
+impl Images {
+    pub fn new() -> Result<Self> {
+        let [exr, png] = Self::files()?.map(|file| ArtifactHash(*blake3::hash(&file).as_bytes()));
+        Ok(Self { exr, png })
+    }
+
+    fn files() -> Result<[Vec<u8>; 2]> {
+        let mut exr = Cursor::new(Vec::new());
+        Rgb32FImage::new(SIZE, SIZE).write_to(&mut exr, ImageFormat::OpenExr)?;
+        Ok([exr.into_inner(), forelight_pictures::png(&RgbImage::new(SIZE, SIZE))?])
+    }
+}
 
 /// Name of a simulated worker's node.
 pub fn name_of(worker: u32) -> String {
@@ -34,8 +59,11 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         nodes.push(register(store, &name_of(worker)).await?);
     }
     let node = register(store, "planner").await?;
-    let stream = futures::stream::iter([Ok::<_, StoreError>(Bytes::from_static(IMAGE))]);
-    store.artifacts().put(image(), stream, 1 << 10, now).await?;
+    let Images { exr, png } = Images::new()?;
+    for (hash, file) in [exr, png].into_iter().zip(Images::files()?) {
+        let stream = futures::stream::iter([Ok::<_, StoreError>(Bytes::from(file))]);
+        store.artifacts().put(hash, stream, 1 << 10, now).await?;
+    }
     let mut left = frames;
     while left > 0 {
         let count = left.min(FRAMES);
@@ -109,14 +137,14 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
         name: "bench".to_owned(),
         digest: SceneDigest([0; 32]),
         frames,
-        width: 8,
-        height: 8,
+        width: SIZE,
+        height: SIZE,
         objects: 1,
         materials: 1,
         triangles: 2,
         frames_per_second: None,
     };
-    let settings = request.settings.complete((8, 8));
+    let settings = request.settings.complete((SIZE, SIZE));
     let new = NewJob {
         request,
         scene,
@@ -127,10 +155,6 @@ async fn submit(store: &Store, frames: u32) -> Result<Job> {
         Answered::Fresh(job) => Ok(job),
         Answered::Repeated(_) => Err(anyhow!("a request without a key was answered before")),
     }
-}
-
-pub fn image() -> ArtifactHash {
-    ArtifactHash(*blake3::hash(IMAGE).as_bytes())
 }
 
 fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
@@ -147,12 +171,13 @@ fn previewed(spec: &TaskSpec) -> Result<TaskResult> {
 }
 
 /// A made-up result of a frame, as large as a real one.
-pub fn rendered(frame: u32, spp: u32) -> TaskResult {
+pub fn rendered(images: Images, frame: u32, spp: u32) -> TaskResult {
+    let Images { exr, png } = images;
     TaskResult::Render(RenderResult {
         stats: RenderStats {
             frame,
-            width: 8,
-            height: 8,
+            width: SIZE,
+            height: SIZE,
             spp,
             effects: vec!["ambient".to_owned()],
             left_out: Vec::new(),
@@ -174,12 +199,7 @@ pub fn rendered(frame: u32, spp: u32) -> TaskResult {
             reused_work: 0,
             reused_cpu_seconds: 0.0,
         },
-        artifacts: RenderArtifacts {
-            image_exr: image(),
-            image_png: image(),
-            cost_map_png: image(),
-            preview_png: None,
-        },
+        artifacts: RenderArtifacts { image_exr: exr, image_png: png, cost_map_png: png, preview_png: None },
     })
 }
 
@@ -193,4 +213,23 @@ fn frame_forecasts(job: &Job) -> Vec<FrameForecast> {
         cpu_seconds: one,
     };
     job.frames.iter().map(forecast).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn the_farm_takes_made_up_results_for_possible_ones() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let node = fill(&store, 1, 1).await.unwrap()[0].id;
+        let now = Timestamp::now();
+        let Some(Answered::Fresh(lease)) = store.claim(node, LEASE, None, now).await.unwrap() else {
+            panic!("the farm leased no frame")
+        };
+        let result = rendered(Images::new().unwrap(), 0, 1);
+        store.check_evidence(lease.lease_id, lease.fence, &result, now).await.unwrap();
+        store.commit_result(lease.lease_id, lease.fence, &result, now).await.unwrap();
+    }
 }

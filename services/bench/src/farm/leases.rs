@@ -8,7 +8,7 @@
 //! machine affects both. Medians of the rounds are compared.
 
 use super::bare::Bare;
-use super::filling::{LEASE, fill, name_of, registration, rendered};
+use super::filling::{Images, LEASE, fill, name_of, registration, rendered};
 use super::service::{ServiceProcess, temporary_folder};
 use crate::report::Report;
 use crate::statistics::{quantile, sorted, upper_median};
@@ -106,6 +106,7 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
     prepare(&data, frames, args.workers).await?;
     let service = ServiceProcess::start(&data)?;
     spinner.finish_and_clear();
+    let images = Images::new()?;
     let mut workers = Vec::new();
     for number in 0..u32::from(args.workers) {
         let client = Client::new(&service.address, Some(Token::new(&service.token)))?;
@@ -127,7 +128,7 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
         }
         let side = bare_side.clone();
         bare.push(blocking(move || side.best_round(time)).await?);
-        http.push(http_round(&workers, time, &mut latencies).await?);
+        http.push(http_round(&workers, images, time, &mut latencies).await?);
         bar.inc(1);
     }
     bar.finish_and_clear();
@@ -148,7 +149,12 @@ async fn measure(args: &Args, interrupt: &Interrupt) -> Result<Document> {
 }
 
 /// Calls per second of all workers together. Adds the seconds of each call to `latencies`.
-async fn http_round(workers: &[(Client, NodeId)], time: Duration, latencies: &mut Vec<f64>) -> Result<f64> {
+async fn http_round(
+    workers: &[(Client, NodeId)],
+    images: Images,
+    time: Duration,
+    latencies: &mut Vec<f64>,
+) -> Result<f64> {
     let start = Instant::now();
     let mut set = JoinSet::new();
     for (client, node) in workers {
@@ -156,7 +162,7 @@ async fn http_round(workers: &[(Client, NodeId)], time: Duration, latencies: &mu
         set.spawn(async move {
             let mut took = Vec::new();
             while start.elapsed() < time {
-                frame(&client, node, &mut took).await?;
+                frame(&client, node, images, &mut took).await?;
             }
             Ok::<_, anyhow::Error>(took)
         });
@@ -169,7 +175,7 @@ async fn http_round(workers: &[(Client, NodeId)], time: Duration, latencies: &mu
 }
 
 /// One frame of one worker: three calls.
-async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()> {
+async fn frame(client: &Client, node: NodeId, images: Images, took: &mut Vec<f64>) -> Result<()> {
     let mut last = Instant::now();
     let mut lap = |took: &mut Vec<f64>| {
         took.push(last.elapsed().as_secs_f64());
@@ -182,16 +188,16 @@ async fn frame(client: &Client, node: NodeId, took: &mut Vec<f64>) -> Result<()>
     let renewal = RenewRequest { fence: lease.fence, progress: 0.5, ..RenewRequest::default() };
     client.renew(lease.lease_id, &renewal, LEASE).await.context("renewal")?;
     lap(took);
-    let result = Some(result_of(&lease.spec)?);
+    let result = Some(result_of(&lease.spec, images)?);
     let end = ResultRequest { fence: lease.fence, result, ..ResultRequest::default() };
     client.report(lease.lease_id, &end).await.context("completion")?;
     lap(took);
     Ok(())
 }
 
-fn result_of(spec: &TaskSpec) -> Result<forelight_protocol::TaskResult> {
+fn result_of(spec: &TaskSpec, images: Images) -> Result<forelight_protocol::TaskResult> {
     match spec {
-        TaskSpec::Render(spec) => Ok(rendered(spec.frame, spec.settings.samples().unwrap_or(1))),
+        TaskSpec::Render(spec) => Ok(rendered(images, spec.frame, spec.settings.samples().unwrap_or(1))),
         other => bail!("the service leased a {} task instead of a frame", other.kind()),
     }
 }
