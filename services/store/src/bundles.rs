@@ -8,6 +8,7 @@ use crate::columns::Json;
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::idempotency::{Answered, IdempotencyKey, earlier_answer, record};
+use crate::quotas::{QuotaOf, check_storage};
 use crate::writing::run;
 
 /// An uploaded bundle that contains a valid scene.
@@ -31,6 +32,17 @@ impl Store {
         if let Some(answer) = earlier_answer(&mut write, key).await? {
             return Ok(Answered::Repeated(answer));
         }
+        let uploader = write.actor().map(|actor| actor.name.clone());
+        if let Some(uploader) = &uploader {
+            // Other uploads may have come in since the quota was checked.
+            let size = sqlx::query_scalar!(
+                r#"SELECT size AS "size!: u64" FROM artifacts WHERE hash = ?"#,
+                &new.hash.0[..]
+            );
+            let size = size.fetch_optional(write.connection().await?).await?;
+            let size = size.ok_or(StoreError::NotFound("artifact"))?;
+            check_storage(write.connection().await?, QuotaOf::Token(uploader), size).await?;
+        }
         let bundle_id = BundleId::new();
         run!(
             write,
@@ -39,7 +51,7 @@ impl Store {
             &new.hash.0[..],
             Json(&new.scene),
             now.micros(),
-            write.actor().map(|actor| actor.name.clone())
+            uploader
         );
         let bundle = read(write.connection().await?, bundle_id).await?;
         let detail = serde_json::json!({"hash": bundle.hash, "size": bundle.size});

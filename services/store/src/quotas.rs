@@ -219,7 +219,12 @@ async fn check_one_more(
     Ok(())
 }
 
-async fn check_storage(connection: &mut SqliteConnection, of: QuotaOf<'_>, more: u64) -> Result<()> {
+/// Refuses so many bytes more if a quota has no room for them.
+pub(crate) async fn check_storage(
+    connection: &mut SqliteConnection,
+    of: QuotaOf<'_>,
+    more: u64,
+) -> Result<()> {
     let most = sqlx::query_scalar!(
         r#"SELECT storage_bytes AS "most!: u64" FROM quotas
            WHERE kind = ? AND name = ? AND storage_bytes IS NOT NULL"#,

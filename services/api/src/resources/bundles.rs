@@ -57,7 +57,7 @@ pub(crate) async fn upload(
     let leave = app.limits.least_disk_space.saturating_mul(LEFT_FREE);
     let room = app.reserved.begin(&app.store, &headers, most, leave)?;
     let staged = app.store.artifacts().stage(room.fill(body.into_data_stream()), most).await?;
-    // Who sends in chunks announces nothing.
+    // Who sends in chunks announces nothing. It is checked once more when the bundle is stored.
     app.store.check_storage(QuotaOf::Token(&principal.name), staged.size).await?;
     let hash = staged.hash;
     let key = key.of(&principal, &hash.0);

@@ -98,6 +98,27 @@ async fn files_that_do_not_fit_into_a_quota_are_refused_before_they_are_made() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn uploads_at_the_same_time_do_not_exceed_a_quota_together() {
+    let farm = Farm::new().await;
+    let zip = |comment: &str| {
+        let mut zip = zip::ZipWriter::new_append(std::io::Cursor::new(scene_zip())).unwrap();
+        zip.set_comment(comment);
+        zip.finish().unwrap().into_inner()
+    };
+    let (before, size) =
+        (set(&farm, json!({"token": "submitter", "storage_bytes": 1 << 30})).await, zip("a").len());
+    let used = before.items[0].used_storage_bytes as usize;
+    set(&farm, json!({"token": "submitter", "storage_bytes": used + size + size / 2})).await;
+    let uploads = ["a", "b", "c", "d"].map(|comment| farm.submitter.upload(zip(comment), None));
+    let answers = futures::future::join_all(uploads).await;
+    let created = answers.iter().filter(|answer| answer.status() == StatusCode::CREATED);
+    assert_eq!(created.count(), 1);
+    for refused in answers.into_iter().filter(|answer| answer.status() != StatusCode::CREATED) {
+        refused.problem(ProblemKind::QuotaExceeded).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn quotas_are_set_by_operators_and_seen_by_those_whom_they_concern() {
     let farm = Farm::new().await;
     for project in ["film", "ads"] {
