@@ -78,7 +78,7 @@ pub struct Args {
     deadline: Option<Deadline>,
     /// Largest cost of the job, such as 12.50. Plans keep to it if possible, but it stops nothing.
     /// `forelight budget` sets limits that do
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
     /// Take as many camera samples as fit into this CPU time, for all frames together, and put them where
     /// they help most. Seconds or such as 90m, on a node of speed 1. --spp then sets only the samples of the
@@ -109,7 +109,7 @@ pub struct Args {
     #[arg(long, value_name = "NAME", default_value = "default")]
     project: String,
     /// Priority among jobs with the same deadline, -1000 to 1000. A larger number goes first
-    #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    #[arg(long, value_name = "NUMBER", default_value_t = 0, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: i32,
     /// Value of the job among jobs of equal priority, 1 to 1000. A job of 2 counts as much as two of 1
     #[arg(long, value_name = "NUMBER", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -210,7 +210,14 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             let id = find_any(&client, wanted).await?;
             client.job(id).await.with_context(|| format!("cannot follow job {id}"))?
         }
-        (None, Some(bundle)) => submit(&args, bundle, &client, &bars, &interrupt).await?,
+        (None, Some(bundle)) => {
+            let is_new = is_new_project(&client, &args.project).await;
+            let job = submit(&args, bundle, &client, &bars, &interrupt).await?;
+            if is_new {
+                bars.note(format!("project \"{}\" is new; `forelight project` lists all", args.project));
+            }
+            job
+        }
         (None, None) => return Err(BadInput::new("name a bundle, or a job by --job").into()),
     };
     if let (Some(at), None) = (job.deadline, &args.job) {
@@ -256,6 +263,12 @@ pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {
             bail!("the job is {state}; delivered: {}", report::delivered(job.frames_done, job.frames_total))
         }
     }
+}
+
+/// Whether a submission makes its project. Its name may be misspelt then.
+async fn is_new_project(client: &Client, project: &str) -> bool {
+    let known = client.projects().await;
+    known.is_ok_and(|known| known.items.iter().all(|known| known.project != project))
 }
 
 /// Prints the quote of a job that waits to be accepted.
