@@ -1,7 +1,7 @@
 //! Reads the command line. What clap and the standard library say about it is put into words for people.
 
 use crate::commands::Cli;
-use clap::{Command, CommandFactory as _, FromArgMatches as _};
+use clap::{Arg, Command, CommandFactory as _, FromArgMatches as _};
 use std::ffi::OsString;
 use std::io::{IsTerminal as _, Write as _};
 
@@ -63,8 +63,8 @@ pub fn read() -> (Cli, Flags) {
     read_from(std::env::args_os()).unwrap_or_else(|error| end(&error))
 }
 
-fn read_from(words: impl IntoIterator<Item = OsString>) -> Result<(Cli, Flags), clap::Error> {
-    let mut command = Cli::command();
+pub(crate) fn read_from(words: impl IntoIterator<Item = OsString>) -> Result<(Cli, Flags), clap::Error> {
+    let mut command = with_negative_numbers(Cli::command());
     let matches = command.try_get_matches_from_mut(words)?;
     let cli = Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
     let (mut at, mut chosen) = (&command, &matches);
@@ -73,6 +73,17 @@ fn read_from(words: impl IntoIterator<Item = OsString>) -> Result<(Cli, Flags), 
         (at, chosen) = (found, inner);
     }
     Ok((cli, Flags(long_flags(at))))
+}
+
+/// Lets every option take a negative number, so that the option itself says which numbers it takes.
+fn with_negative_numbers(command: Command) -> Command {
+    let takes = |argument: &Arg| !argument.is_positional() && argument.get_action().takes_values();
+    command
+        .mut_args(|argument| match takes(&argument) {
+            true => argument.allow_negative_numbers(true),
+            false => argument,
+        })
+        .mut_subcommands(with_negative_numbers)
 }
 
 fn long_flags(command: &Command) -> Vec<String> {
@@ -103,19 +114,30 @@ const OF_VARIABLES: [(&str, &str); 3] = [
     ("FORELIGHT_TOKEN", " --token <TOKEN>"),
 ];
 
-/// What the standard library says of numbers, and what is meant.
-const OF_NUMBERS: [(&str, &str); 5] = [
+/// What clap and the standard library say of numbers, and what is meant.
+const OF_NUMBERS: [(&str, &str); 6] = [
     ("invalid digit found in string", "expected a whole number"),
     ("cannot parse integer from empty string", "expected a whole number"),
     ("number too large to fit in target type", "the number is too large"),
     ("number too small to fit in target type", "the number is too small"),
     ("invalid float literal", "expected a number"),
+    (" is not in 0..=4294967295", " is below 0 or too large"),
 ];
 
 fn in_words(text: &str, is_set: impl Fn(&str) -> bool) -> String {
     let mut text = text.to_owned();
     for (said, meant) in OF_NUMBERS {
         text = text.replace(said, meant);
+    }
+    if let Some((before, range)) = text.split_once(" is not in ") {
+        text = format!("{before} is not within {}", range.replacen("..=", " to ", 1));
+    }
+    // A value such as -2h is no number. Clap's tip is for a flag that no command here has: one that is a digit.
+    if let Some((before, rest)) = text.split_once("tip: to pass '-")
+        && rest.starts_with(|first: char| first.is_ascii_digit())
+        && let Some((_, after)) = rest.split_once('\n')
+    {
+        text = format!("{before}tip: if this is the value of an option, write it as --option=VALUE\n{after}");
     }
     for (_, flag) in OF_VARIABLES.into_iter().filter(|(variable, _)| is_set(variable)) {
         let line = |line: &str| match line.starts_with("Usage:") {
@@ -167,6 +189,10 @@ mod tests {
             in_words(&error.render().to_string(), |_| false)
         };
         assert!(said("forelight jobs --most x").contains("'--most <COUNT>': expected a whole number"));
+        assert!(said("forelight render b --error -1").contains("invalid value '-1' for '--error <PERCENT>'"));
+        assert!(said("forelight render b --spp -4").contains("-4 is below 0 or too large"));
+        assert!(said("forelight jobs --most 0").contains("0 is not within 1 to "));
+        assert!(said("forelight render b --within -2h").contains("write it as --option=VALUE"));
         assert!(said("forelight serve --listen nonsense").contains("such as 0.0.0.0:7878"));
         assert!(said("forelight plans nosuch").contains("an id, such as 0192"));
         assert!(said("forelight worker --task abc").contains("an id, such as 0192"));

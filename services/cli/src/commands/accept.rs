@@ -25,7 +25,7 @@ pub struct Args {
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]
     deadline: Option<Deadline>,
     /// Largest cost of the job, such as 12.50
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
     /// Quantile of the forecast that the booking uses
     #[arg(long, value_name = "LEVEL")]

@@ -43,7 +43,7 @@ pub struct Args {
     #[arg(long, value_name = "WHEN", value_parser = parse_deadline, allow_hyphen_values = true)]
     deadline: Option<Deadline>,
     /// Budget for the rest of the job, in the farm's currency, such as 12.50 [default: the job's budget]
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
     /// Draw the job's price against its deadline into this SVG file
     #[arg(long, value_name = "FILE.svg", value_parser = svg_file)]

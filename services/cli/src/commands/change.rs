@@ -40,7 +40,7 @@ struct Terms {
     #[arg(long, conflicts_with = "deadline")]
     no_deadline: bool,
     /// Largest cost of the job, such as 12.50
-    #[arg(long, value_name = "AMOUNT", value_parser = parse_money, allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", value_parser = parse_money)]
     budget: Option<i64>,
     /// Remove the budget
     #[arg(long, conflicts_with = "budget")]
@@ -50,7 +50,7 @@ struct Terms {
     confidence: Option<Confidence>,
     /// Priority, -1000 to 1000. Of jobs with the same deadline, or without one, the largest goes first. It may move
     /// others past their deadlines
-    #[arg(long, value_name = "NUMBER", allow_negative_numbers = true, value_parser = clap::value_parser!(i32).range(-1000..=1000))]
+    #[arg(long, value_name = "NUMBER", value_parser = clap::value_parser!(i32).range(-1000..=1000))]
     priority: Option<i32>,
 }
 

@@ -197,11 +197,13 @@ async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + '
 #[cfg(test)]
 mod tests {
     use super::Cli;
-    use clap::{CommandFactory, Parser};
+    use crate::arguments::read_from;
+    use clap::CommandFactory;
+    use std::ffi::OsString;
 
     fn parse(line: &str) -> Result<Cli, clap::Error> {
         let words = shlex::split(line).expect("every quote is closed");
-        Cli::try_parse_from(words)
+        read_from(words.into_iter().map(OsString::from)).map(|(cli, _)| cli)
     }
 
     #[test]
@@ -236,7 +238,7 @@ mod tests {
             ("forelight submit b --error 2 --within 3h", "--error"),
             ("forelight submit b --frames 3-1", "--frames"),
             ("forelight submit b --deadline soon", "--deadline"),
-            ("forelight submit b --budget=-3", "--budget"),
+            ("forelight submit b --budget -3", "--budget"),
             ("forelight render b --width 0", "--width"),
             ("forelight render b --threads 0", "--threads"),
             ("forelight render b --cache maybe", "--cache"),
@@ -273,7 +275,7 @@ mod tests {
             ("forelight log kitchen --frame x", "--frame"),
             ("forelight simulate --confidence 90", "--confidence"),
             ("forelight simulate --pool 0", "--pool"),
-            ("forelight simulate --bias=-1", "--bias"),
+            ("forelight simulate --bias -1", "--bias"),
             ("forelight budget --date tomorrow", "--date"),
             ("forelight budget --days 0", "--days"),
             ("forelight budget set film 10 --stop 0", "--stop"),

@@ -46,7 +46,7 @@ pub struct Args {
     #[arg(long, value_name = "WINDOWS", requires = "name")]
     schedule: Option<String>,
     /// Price of an hour, in the farm's currency, such as 2.40. `default`: as the worker says
-    #[arg(long, value_name = "AMOUNT", requires = "name", allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", requires = "name")]
     price: Option<String>,
     /// Bill rented time in multiples of this, such as 1h
     #[arg(long, value_name = "DURATION", requires = "name", value_parser = duration)]

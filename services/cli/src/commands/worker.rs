@@ -58,7 +58,7 @@ pub struct Args {
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
     /// Price of an hour of this node, in the farm's currency, such as 0.80
-    #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money, allow_negative_numbers = true)]
+    #[arg(long, value_name = "AMOUNT", default_value = "0", value_parser = parse_money)]
     price: i64,
     /// Folder for downloaded bundles [default: forelight/bundles in the user's cache folder, ~/.cache]
     #[arg(long, value_name = "DIR")]

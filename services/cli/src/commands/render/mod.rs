@@ -66,7 +66,7 @@ pub struct Args {
     /// Blender Cycles renders, or a .rif file or octree, which Radiance renders
     bundle: PathBuf,
     /// Frame number [default: the first frame]
-    #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    #[arg(long, value_name = "N")]
     frame: Option<i32>,
     /// Frames to render one after the other, such as 0-47 or 0,5,9-12. In names of files, #### becomes the
     /// frame's number
