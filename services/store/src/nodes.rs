@@ -7,11 +7,13 @@ pub(crate) mod listing;
 pub(crate) mod removing;
 pub(crate) mod unattended;
 
+use std::collections::BTreeMap;
+
 use forelight_forecast::learned_factor;
 use forelight_protocol::{Capabilities, Money, Node, NodeCalendar, NodeId, NodeTerms, Timestamp};
 use sqlx::{FromRow, SqliteConnection};
 
-use crate::columns::{Id, Json, Time};
+use crate::columns::{Id, Json, Time, hex_list};
 use crate::database::Store;
 use crate::error::{Result, StoreError};
 use crate::policy::availability::{Opening, opening, silence};
@@ -132,6 +134,21 @@ pub(crate) async fn read(connection: &mut SqliteConnection, node: NodeId) -> Res
 pub(crate) async fn read_any(connection: &mut SqliteConnection, node: NodeId) -> Result<Node> {
     let row = node_rows!("WHERE n.id = ?", node.0).fetch_one(connection).await?;
     Ok(row.into())
+}
+
+/// The nodes with these ids, as [`read_any`] reads one.
+pub(crate) async fn by_ids(
+    connection: &mut SqliteConnection,
+    ids: impl IntoIterator<Item = NodeId>,
+) -> Result<BTreeMap<NodeId, Node>> {
+    let ids = hex_list(ids.into_iter().map(|id| id.0));
+    if ids.0.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+    let rows = node_rows!("WHERE n.id IN (SELECT unhex(value) FROM json_each(?))", ids)
+        .fetch_all(connection)
+        .await?;
+    Ok(rows.into_iter().map(|row| (row.id.into(), row.into())).collect())
 }
 
 pub(crate) async fn by_name(connection: &mut SqliteConnection, name: &str) -> Result<Option<Node>> {

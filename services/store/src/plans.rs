@@ -4,9 +4,9 @@ pub(crate) mod bookings;
 pub(crate) mod farm_jobs;
 pub(crate) mod reading;
 pub(crate) mod replans;
+pub(crate) mod slowness;
 
-use std::collections::BTreeSet;
-use std::collections::btree_map::{BTreeMap, Entry};
+use std::collections::{BTreeMap, BTreeSet};
 
 use forelight_protocol::{
     BookingId, CacheMode, Event, EventKind, FrameForecast, FramePart, JobId, JobNews, JobSettings, JobState,
@@ -332,21 +332,15 @@ pub(crate) async fn book_tasks(
     tasks: Vec<(FramePart, Option<NewBooking>)>,
 ) -> Result<()> {
     let of_job = rates(write.connection().await?, job).await?;
-    let mut rates: BTreeMap<NodeId, Option<i64>> = BTreeMap::new();
-    let mut rows = Vec::with_capacity(tasks.len());
-    for (FramePart { frame, part, .. }, booking) in tasks {
+    let booked: BTreeSet<NodeId> =
+        tasks.iter().filter_map(|(_, booking)| booking.as_ref()).map(|booking| booking.node).collect();
+    let nodes = nodes::by_ids(write.connection().await?, booked).await?;
+    let rows = tasks.into_iter().map(|(FramePart { frame, part, .. }, booking)| {
         let node = booking.as_ref().map(|booking| booking.node);
-        let rate = match node.map(|node| rates.entry(node)) {
-            None => None,
-            Some(Entry::Occupied(known)) => *known.get(),
-            Some(Entry::Vacant(new)) => {
-                let node = nodes::read_any(write.connection().await?, *new.key()).await?;
-                *new.insert(of_job.on(&node))
-            }
-        };
-        let start = booking.map(|booking| booking.start.micros());
-        rows.push((frame, part, node.map(|node| hex(node.0)), start, rate));
-    }
+        let rate = node.and_then(|node| of_job.on(nodes.get(&node)?));
+        (frame, part, node.map(|node| hex(node.0)), booking.map(|booking| booking.start.micros()), rate)
+    });
+    let rows: Vec<_> = rows.collect();
     run!(
         write,
         "UPDATE tasks SET booked_node = unhex(b.value ->> 2), booked_at = b.value ->> 3, booked_rate = b.value ->> 4 \

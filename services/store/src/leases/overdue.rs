@@ -1,5 +1,7 @@
 //! Running tasks that take longer than forecast. [`crate::policy::overdue`] says which.
 
+use std::collections::BTreeSet;
+
 use forelight_protocol::{Event, EventKind, JobId, LeaseId, TaskError, Timestamp};
 
 use crate::columns::{Id, Time};
@@ -71,26 +73,33 @@ impl Store {
             .await?;
         let due: Vec<LeaseId> =
             rows.into_iter().filter(|row| row.news(now).is_some()).map(|row| row.id.into()).collect();
+        let mut late = BTreeSet::new();
         for part in due.chunks(AT_ONCE) {
             let mut write = self.write().await?;
             for lease in part {
-                look_at(&mut write, *lease, now).await?;
+                late.extend(look_at(&mut write, *lease, now).await?);
             }
+            self.commit(write).await?;
+        }
+        // Once for all late tasks of a job: an estimate reads all its bookings.
+        for job in late {
+            let mut write = self.write().await?;
+            living::update(&mut write, job, Occasion::Overdue, now).await?;
             self.commit(write).await?;
         }
         Ok(())
     }
 }
 
-/// Looks at one lease, as it is now.
-async fn look_at(write: &mut Write, lease: LeaseId, now: Timestamp) -> Result<()> {
+/// Looks at one lease, as it is now. Returns its job if the job's estimate is to take note.
+async fn look_at(write: &mut Write, lease: LeaseId, now: Timestamp) -> Result<Option<JobId>> {
     let row = running!("AND l.id = ?", lease.0).fetch_optional(write.connection().await?).await?;
     let Some((row, lateness)) = row.and_then(|row| row.news(now).map(|news| (row, news))) else {
-        return Ok(());
+        return Ok(None);
     };
     match lateness {
-        Lateness::OnTime => Ok(()),
-        Lateness::Over => end_for_time(write, lease, now).await,
+        Lateness::OnTime => Ok(None),
+        Lateness::Over => end_for_time(write, lease, now).await.map(|()| None),
         Lateness::Stalled => stall(write, &row, now).await,
         Lateness::Late => {
             let message = format!("it takes longer on {} than in 19 of 20 cases", row.node);
@@ -99,8 +108,8 @@ async fn look_at(write: &mut Write, lease: LeaseId, now: Timestamp) -> Result<()
     }
 }
 
-/// Has the task run on another node as well.
-async fn stall(write: &mut Write, row: &Row, now: Timestamp) -> Result<()> {
+/// Has the task run on another node as well. Returns its job as [`look_at`] does.
+async fn stall(write: &mut Write, row: &Row, now: Timestamp) -> Result<Option<JobId>> {
     run!(
         write,
         "UPDATE tasks SET again = 1 WHERE state = 'leased' AND id = (SELECT task_id FROM leases WHERE id = ?1) \
@@ -115,23 +124,23 @@ async fn stall(write: &mut Write, row: &Row, now: Timestamp) -> Result<()> {
     note(write, row, ("stalled", EventKind::TaskStalled, message), now).await
 }
 
-/// Says how late a task is, and has estimate and plan take note.
+/// Says how late a task is, and has the plan take note. Returns its job as [`look_at`] does.
 async fn note(
     write: &mut Write,
     row: &Row,
     (lateness, kind, message): (&'static str, EventKind, String),
     now: Timestamp,
-) -> Result<()> {
+) -> Result<Option<JobId>> {
     run!(write, "UPDATE leases SET lateness = ? WHERE id = ?", lateness, row.id);
     let lease = read_in(write, row.id.into()).await?;
     append(write, Event { message: Some(message), ..lease.event(kind, now) });
     let job: JobId = row.job_id.into();
     if jobs::state(write.connection().await?, job).await?.is_final() {
         // A video is made of a job that is done: no frame waits for it.
-        return Ok(());
+        return Ok(None);
     }
-    living::update(write, job, Occasion::Overdue, now).await?;
-    replans::want(write, &format!("a task of job {} is {lateness} on {}", row.job, row.node)).await
+    replans::want(write, &format!("a task of job {} is {lateness} on {}", row.job, row.node)).await?;
+    Ok(Some(job))
 }
 
 /// Ends a lease that is beyond the farm's time limit. The task is tried elsewhere.

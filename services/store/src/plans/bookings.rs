@@ -1,19 +1,14 @@
 //! Bookings of frames, and of parts of frames, that are not rendered yet.
 
-use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
-
-use forelight_protocol::{Booking, BookingId, JobId, Node, NodeId, Timestamp};
+use forelight_protocol::{Booking, BookingId, JobId, Timestamp};
 use sqlx::SqliteConnection;
 
 use crate::columns::{Id, Time};
 use crate::database::Store;
 use crate::error::Result;
-use crate::nodes::read_any;
+use crate::plans::slowness::{self, HeldTask};
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenBooking};
-use crate::policy::work_stealing::Rates;
-use crate::tasks::rates;
 
 /// A booking with its task.
 struct Row {
@@ -123,53 +118,10 @@ pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Re
 
 async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Result<Vec<OpenBooking>> {
     let mut bookings: Vec<OpenBooking> = rows.into_iter().map(OpenBooking::from).collect();
-    let mut speeds = Speeds::default();
-    for OpenBooking { booking, holder, .. } in &mut bookings {
-        if let Some(holder) = holder {
-            let nodes = (booking.node_id, holder.node_id);
-            let length = booking.end.micros_since(booking.start);
-            holder.slowness = speeds.slowness(connection, booking.job_id, nodes, length).await?;
-        }
-    }
+    let held = bookings.iter_mut().filter_map(|OpenBooking { booking, holder, .. }| {
+        let length = booking.end.micros_since(booking.start);
+        Some(HeldTask { job: booking.job_id, booked_on: booking.node_id, length, holder: holder.as_mut()? })
+    });
+    slowness::set(connection, held).await?;
     Ok(bookings)
-}
-
-/// Speeds of nodes for the work of jobs, each read once.
-#[derive(Default)]
-pub(crate) struct Speeds {
-    nodes: BTreeMap<NodeId, Node>,
-    jobs: BTreeMap<JobId, Rates>,
-}
-
-impl Speeds {
-    /// How many times as long a task of the job takes on the second of these nodes as on the first, where it is
-    /// booked for `length` microseconds.
-    pub async fn slowness(
-        &mut self,
-        connection: &mut SqliteConnection,
-        job: JobId,
-        (booked, holder): (NodeId, NodeId),
-        length: i64,
-    ) -> Result<f64> {
-        if booked == holder {
-            return Ok(1.0);
-        }
-        let of_job = match self.jobs.entry(job) {
-            Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(unknown) => unknown.insert(rates(connection, job).await?),
-        };
-        let (mut speeds, mut serial) = ([0.0; 2], [0; 2]);
-        for ((speed, serial), id) in speeds.iter_mut().zip(&mut serial).zip([booked, holder]) {
-            let node = match self.nodes.entry(id) {
-                Entry::Occupied(known) => known.into_mut(),
-                Entry::Vacant(unknown) => unknown.insert(read_any(connection, id).await?),
-            };
-            *speed = node.speed_for(of_job.work.as_ref()) * f64::from(node.cores);
-            *serial = of_job.serial.on(node.cores);
-        }
-        // A booking that was made before serial time was learnt has none.
-        let shared = length.saturating_sub(serial[0]).max(length / 10) as f64;
-        let slowness = (shared * speeds[0] / speeds[1] + serial[1] as f64) / length as f64;
-        Ok(if slowness.is_finite() && slowness > 0.0 { slowness } else { 1.0 })
-    }
 }

@@ -10,7 +10,7 @@ use sqlx::SqliteConnection;
 use crate::columns::{Id, Json, Time, hex_list};
 use crate::database::{Store, Write};
 use crate::error::Result;
-use crate::plans::bookings::Speeds;
+use crate::plans::slowness::{self, HeldTask};
 use crate::policy::overdue::AttemptTimes;
 use crate::policy::projection::{Holder, OpenCachePart};
 use crate::policy::shared_cache::{self, Filled, PartDone, part_done};
@@ -114,14 +114,11 @@ pub(crate) async fn open_of(connection: &mut SqliteConnection, job: JobId) -> Re
 
 async fn with_slowness(connection: &mut SqliteConnection, rows: Vec<Row>) -> Result<Vec<OpenCachePart>> {
     let mut parts: Vec<OpenCachePart> = rows.into_iter().map(OpenCachePart::from).collect();
-    let mut speeds = Speeds::default();
-    for OpenCachePart { booking, holder, .. } in &mut parts {
-        if let Some(holder) = holder {
-            let nodes = (booking.node_id, holder.node_id);
-            let length = booking.end.micros_since(booking.start);
-            holder.slowness = speeds.slowness(connection, booking.job_id, nodes, length).await?;
-        }
-    }
+    let held = parts.iter_mut().filter_map(|OpenCachePart { booking, holder, .. }| {
+        let length = booking.end.micros_since(booking.start);
+        Some(HeldTask { job: booking.job_id, booked_on: booking.node_id, length, holder: holder.as_mut()? })
+    });
+    slowness::set(connection, held).await?;
     Ok(parts)
 }
 
