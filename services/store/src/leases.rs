@@ -167,10 +167,10 @@ impl Store {
     }
 }
 
-pub(crate) async fn ran_out(write: &mut Write, now: Timestamp) -> Result<Vec<LeaseRow>> {
+pub(crate) async fn ran_out(write: &mut Write, now: Timestamp, most: u32) -> Result<Vec<LeaseRow>> {
     let ran_out =
-        select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id");
-    Ok(sqlx::query_as(ran_out).bind(now.micros()).fetch_all(write.connection().await?).await?)
+        select_leases!("WHERE l.state = 'active' AND l.expires_at <= ? ORDER BY l.expires_at, l.id LIMIT ?");
+    Ok(sqlx::query_as(ran_out).bind(now.micros()).bind(most).fetch_all(write.connection().await?).await?)
 }
 
 impl LeaseRow {

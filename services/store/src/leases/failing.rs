@@ -130,14 +130,14 @@ pub(crate) async fn fail(
 ) -> Result<()> {
     let error = report.error;
     end(write, row, "failed", now);
-    let others = others(write, row, TriedOn::Failed, now).await?;
+    let another = could_another(write, row, TriedOn::Failed, now).await?;
     run!(
         write,
         "UPDATE leases SET failure = ?, permanent = ?, fault = ?, alone = ? WHERE id = ?",
         kind(error).name(),
         error.permanent,
         report.fault.map(Fault::name),
-        others == 0,
+        !another,
         row.id.0
     );
     let event = match report.fault {
@@ -158,7 +158,7 @@ pub(crate) async fn fail(
         row.task_id.0
     );
     let witnesses = witnesses(write, row.task_id, now).await?;
-    let tried = Tried { task: row.task_id, failures, witnesses: &witnesses, others };
+    let tried = Tried { task: row.task_id, failures, witnesses: &witnesses, another };
     match job_error(error, &tried) {
         Some(job_error) => fail_task_and_job(write, row, &job_error, now).await?,
         None => back_to_ready(write, row, Some(&error.message)),
@@ -233,15 +233,20 @@ pub(crate) enum TriedOn {
     FailedOrLost,
 }
 
-/// How many other nodes could do a task: they take tasks, were heard of lately, have its renderer, and have not
-/// tried it in vain.
-pub(crate) async fn others(write: &mut Write, row: &LeaseRow, tried: TriedOn, now: Timestamp) -> Result<u32> {
+/// Whether another node could do a task: it takes tasks, was heard of lately, has its renderer, and has not tried it
+/// in vain.
+pub(crate) async fn could_another(
+    write: &mut Write,
+    row: &LeaseRow,
+    tried: TriedOn,
+    now: Timestamp,
+) -> Result<bool> {
     Ok(sqlx::query_scalar!(
-        "SELECT count(*) AS \"others!: u32\" FROM nodes n WHERE n.id <> ?1 AND n.set_aside IS NULL AND NOT n.drain \
+        "SELECT EXISTS (SELECT 1 FROM nodes n WHERE n.id <> ?1 AND n.set_aside IS NULL AND NOT n.drain \
          AND NOT n.pause AND n.last_seen_at >= ?2 \
          AND (?3 IS NULL OR ?3 IN (SELECT value FROM json_each(n.renderers))) \
          AND NOT EXISTS (SELECT 1 FROM leases f WHERE f.task_id = ?4 AND f.node_id = n.id \
-                         AND (f.state = 'failed' OR ?5 AND f.state = 'expired'))",
+                         AND (f.state = 'failed' OR ?5 AND f.state = 'expired'))) AS \"another!: bool\"",
         row.node_id.0,
         now.plus_micros(-LOST).micros(),
         row.renderer,

@@ -6,7 +6,7 @@ use crate::database::Write;
 use crate::error::Result;
 use crate::events::append;
 use crate::jobs::ending::fail_task_and_job;
-use crate::leases::failing::{TriedOn, others};
+use crate::leases::failing::{TriedOn, could_another};
 use crate::leases::state::LeaseState;
 use crate::leases::{LeaseRow, active_leases_of, back_to_ready, end, read_in};
 use crate::policy::retries::job_error_of_lost_workers;
@@ -17,11 +17,11 @@ use crate::writing::run;
 pub(crate) async fn lose(write: &mut Write, row: &LeaseRow, crashed: bool, now: Timestamp) -> Result<bool> {
     end(write, row, "expired", now);
     append(write, row.event(EventKind::LeaseExpired, now));
-    let others = others(write, row, TriedOn::FailedOrLost, now).await?;
+    let another = could_another(write, row, TriedOn::FailedOrLost, now).await?;
     run!(
         write,
         "UPDATE leases SET alone = ?, failure = ? WHERE id = ?",
-        others == 0,
+        !another,
         crashed.then(|| FailureKind::Unknown.name()),
         row.id.0
     );
@@ -40,7 +40,7 @@ pub(crate) async fn lose(write: &mut Write, row: &LeaseRow, crashed: bool, now: 
     )
     .fetch_all(write.connection().await?)
     .await?;
-    match job_error_of_lost_workers(expiries, &nodes, others) {
+    match job_error_of_lost_workers(expiries, &nodes, another) {
         Some(error) => fail_task_and_job(write, row, &error, now).await.map(|()| true),
         None => {
             back_to_ready(write, row, None);

@@ -34,8 +34,18 @@ impl Store {
     /// Takes back the tasks of expired leases, looks at those that take too long, updates overdue estimates,
     /// replaces versions of our renderer that no node has any more, and deletes records past their time.
     pub async fn sweep(&self, now: Timestamp) -> Result<Swept> {
+        let mut swept = Swept::default();
+        loop {
+            let mut write = self.write().await?;
+            let (some, are_left) = sweep(&mut write, now).await?;
+            self.commit(write).await?;
+            swept.expired += some.expired;
+            swept.jobs_failed += some.jobs_failed;
+            if !are_left {
+                break;
+            }
+        }
         let mut write = self.write().await?;
-        let swept = sweep(&mut write, now).await?;
         stop_after_windows(&mut write, now).await?;
         living::catch_up(&mut write, now).await?;
         replace_lost(&mut write, self.up_since(), now).await?;
@@ -106,10 +116,16 @@ impl Store {
     }
 }
 
-/// Takes back the tasks of expired leases.
-pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept> {
+/// Expired leases that are looked at in one write. Thousands may expire at once, and workers that wait while somebody
+/// writes could lose theirs as well.
+const AT_ONCE: u32 = 50;
+
+/// Takes back the tasks of some expired leases. Returns whether there may be more.
+pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<(Swept, bool)> {
     let mut swept = Swept::default();
-    for row in ran_out(write, now).await? {
+    let rows = ran_out(write, now, AT_ONCE).await?;
+    let are_left = rows.len() == AT_ONCE as usize;
+    for row in rows {
         // An earlier row of this sweep may have failed the job and so revoked this lease.
         if read_in(write, row.id).await?.state != LeaseState::Active {
             continue;
@@ -117,5 +133,5 @@ pub(crate) async fn sweep(write: &mut Write, now: Timestamp) -> Result<Swept> {
         swept.expired += 1;
         swept.jobs_failed += u32::from(lose(write, &row, false, now).await?);
     }
-    Ok(swept)
+    Ok((swept, are_left))
 }

@@ -70,24 +70,24 @@ pub(crate) struct Tried<'a> {
     /// Number of failures.
     pub failures: u32,
     pub witnesses: &'a [Witness],
-    /// Nodes that could do the task and on which it has not failed.
-    pub others: u32,
+    /// Whether another node could do the task, on which it has not failed.
+    pub another: bool,
 }
 
 /// The error with which the job fails after a failure; `None` if the task is tried again.
 pub(crate) fn job_error(error: &TaskError, tried: &Tried<'_>) -> Option<String> {
-    let Tried { task, failures, witnesses, others } = *tried;
+    let Tried { task, failures, witnesses, another } = *tried;
     if error.kind == FailureKind::Input {
         return Some(error.message.clone());
     }
     let believed = || witnesses.iter().filter(|witness| !witness.doubted);
     let is_agreed = believed().filter(|witness| witness.permanent).count() >= AGREEING_NODES;
     let will_repeat = error.permanent || error.limit.is_some();
-    if error.permanent && is_agreed || will_repeat && others == 0 && failures >= PERMANENT_ATTEMPTS {
+    if error.permanent && is_agreed || will_repeat && !another && failures >= PERMANENT_ATTEMPTS {
         return Some(error.message.clone());
     }
     let is_shared = believed().count() >= FAILED_NODES as usize;
-    if !is_shared && (others > 0 || failures < MAX_FAILURES) {
+    if !is_shared && (another || failures < MAX_FAILURES) {
         return None;
     }
     let names: Vec<&str> = witnesses.iter().map(|witness| witness.name.as_str()).collect();
@@ -98,10 +98,10 @@ pub(crate) fn job_error(error: &TaskError, tried: &Tried<'_>) -> Option<String> 
     Some(format!("{} (it failed {times}; the log of task {task} says more)", error.message))
 }
 
-/// The error that fails the job after so many lost workers of one task, on these nodes, where so many others could
-/// try; `None` if the task is tried again.
-pub(crate) fn job_error_of_lost_workers(expiries: u32, nodes: &[String], others: u32) -> Option<String> {
-    (expiries >= MAX_EXPIRIES && (nodes.len() > 1 || others == 0))
+/// The error that fails the job after so many lost workers of one task, on these nodes; `None` if the task is
+/// tried again. `another`: whether another node could try.
+pub(crate) fn job_error_of_lost_workers(expiries: u32, nodes: &[String], another: bool) -> Option<String> {
+    (expiries >= MAX_EXPIRIES && (nodes.len() > 1 || !another))
         .then(|| format!("{expiries} workers were lost on this task, on {}", nodes.join(", ")))
 }
 
@@ -131,30 +131,30 @@ mod tests {
     #[test]
     fn a_task_fails_its_job_on_the_third_node_or_at_the_sixth_time_where_there_is_no_other() {
         let error = TaskError { message: "out of memory".to_owned(), ..TaskError::default() };
-        let found = |names: &[&str], failures, others| {
-            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), others };
+        let found = |names: &[&str], failures, another| {
+            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), another };
             job_error(&error, &tried)
         };
-        assert_eq!(found(&["a", "b"], 5, 0), None);
-        assert_eq!(found(&["a"], 60, 1), None, "another node could try");
-        assert!(found(&["a", "b", "c"], 3, 4).is_some_and(|it| it.contains("on a, b, c")));
-        assert!(found(&["a"], 6, 0).is_some_and(|it| it.contains("6 times on a")));
+        assert_eq!(found(&["a", "b"], 5, false), None);
+        assert_eq!(found(&["a"], 60, true), None, "another node could try");
+        assert!(found(&["a", "b", "c"], 3, true).is_some_and(|it| it.contains("on a, b, c")));
+        assert!(found(&["a"], 6, false).is_some_and(|it| it.contains("6 times on a")));
     }
 
     #[test]
     fn a_permanent_error_is_believed_of_two_nodes_that_are_not_at_fault_or_of_the_only_one_at_the_third_time()
     {
         let error = TaskError { message: "no such mesh".to_owned(), permanent: true, ..TaskError::default() };
-        let found = |witnesses: &[Witness], failures, others| {
-            job_error(&error, &Tried { task: TaskId::new(), failures, witnesses, others })
+        let found = |witnesses: &[Witness], failures, another| {
+            job_error(&error, &Tried { task: TaskId::new(), failures, witnesses, another })
         };
         let one = witnesses(&["a"], true);
-        assert_eq!((found(&one, 1, 3), found(&one, 9, 3), found(&one, 2, 0)), (None, None, None));
-        assert_eq!(found(&one, 3, 0).as_deref(), Some("no such mesh"));
+        assert_eq!((found(&one, 1, true), found(&one, 9, true), found(&one, 2, false)), (None, None, None));
+        assert_eq!(found(&one, 3, false).as_deref(), Some("no such mesh"));
         let mut two = witnesses(&["a", "b"], true);
-        assert_eq!(found(&two, 2, 3).as_deref(), Some("no such mesh"));
+        assert_eq!(found(&two, 2, true).as_deref(), Some("no such mesh"));
         two[0].doubted = true;
-        assert_eq!(found(&two, 2, 3), None);
+        assert_eq!(found(&two, 2, true), None);
     }
 
     #[test]
@@ -164,29 +164,31 @@ mod tests {
             limit: Some(TaskLimit::WallTime),
             ..TaskError::default()
         };
-        let found = |names: &[&str], failures, others| {
-            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), others };
+        let found = |names: &[&str], failures, another| {
+            let tried = Tried { task: TaskId::new(), failures, witnesses: &witnesses(names, false), another };
             job_error(&error, &tried)
         };
         // Another node may be faster, or have more memory.
-        assert_eq!((found(&["a"], 2, 0), found(&["a", "b"], 9, 1)), (None, None));
-        assert_eq!(found(&["a", "b"], 3, 0).as_deref(), Some("beyond its limit"));
+        assert_eq!((found(&["a"], 2, false), found(&["a", "b"], 9, true)), (None, None));
+        assert_eq!(found(&["a", "b"], 3, false).as_deref(), Some("beyond its limit"));
     }
 
     #[test]
     fn input_that_is_gone_fails_the_job_at_once() {
         let message = "its input is gone: bundle /shots/a".to_owned();
         let error = TaskError { message: message.clone(), kind: FailureKind::Input, ..TaskError::default() };
-        let tried = Tried { task: TaskId::new(), failures: 1, witnesses: &[], others: 9 };
+        let tried = Tried { task: TaskId::new(), failures: 1, witnesses: &[], another: true };
         assert_eq!(job_error(&error, &tried), Some(message));
     }
 
     #[test]
     fn lost_workers_are_counted_up_to_their_limit() {
         let nodes = ["a".to_owned(), "b".to_owned()];
-        assert_eq!(job_error_of_lost_workers(9, &nodes, 0), None);
-        assert!(job_error_of_lost_workers(10, &nodes, 5).is_some_and(|error| error.ends_with("on a, b")));
-        assert_eq!(job_error_of_lost_workers(99, &nodes[..1], 5), None, "another node could try");
-        assert!(job_error_of_lost_workers(10, &nodes[..1], 0).is_some_and(|error| error.ends_with("on a")));
+        assert_eq!(job_error_of_lost_workers(9, &nodes, false), None);
+        assert!(job_error_of_lost_workers(10, &nodes, true).is_some_and(|error| error.ends_with("on a, b")));
+        assert_eq!(job_error_of_lost_workers(99, &nodes[..1], true), None, "another node could try");
+        assert!(
+            job_error_of_lost_workers(10, &nodes[..1], false).is_some_and(|error| error.ends_with("on a"))
+        );
     }
 }

@@ -244,3 +244,18 @@ async fn a_restart_resumes_where_it_was_and_leaves_leases_a_term_to_report() {
     let farm = farm.restarted().await;
     assert_eq!(farm.store.frame(job, 0).await.unwrap().state, FrameState::Done);
 }
+
+#[tokio::test]
+async fn one_sweep_takes_back_all_leases_that_expired_together() {
+    const MANY: u32 = 120;
+    let farm = Farm::new().await;
+    let node = farm.node("a").await;
+    for _ in 0..MANY {
+        farm.job("0").await;
+        farm.claim(node.id, at(0)).await.unwrap();
+    }
+    assert_eq!(farm.store.sweep(at(30)).await.unwrap().expired, MANY);
+    assert_eq!(farm.events(EventKind::LeaseExpired).await.len(), MANY as usize);
+    assert_eq!(farm.store.sweep(at(30)).await.unwrap().expired, 0);
+    assert!(farm.claim(node.id, at(31)).await.is_some());
+}
