@@ -12,8 +12,8 @@
 //! * **The work exceeds a limit.** It is stopped, and the limit is reported as the error.
 //! * **The operator intervenes.** Renewals bring orders: to pause, to resume, to drop the task.
 //! * **The node should sleep.** The service knows the node's calendar. A renewal, or the answer to a claim,
-//!   says until when the node sleeps. Until then this worker sends nothing. It follows the wall clock, so the
-//!   machine may be suspended.
+//!   says until when the node sleeps. Until then this worker only asks once a minute whether that still holds.
+//!   It follows the wall clock, so the machine may be suspended.
 //! * **Worker and service speak other versions.** A worker that is too old ends, and says which version to
 //!   install. One that is too new waits until the service is upgraded.
 //! * **This process is told to stop.** The work is stopped and the lease given back, for another node.
@@ -31,6 +31,7 @@ use forelight_protocol::{
 use forelight_renderer::{Control, Execute, ExecuteError, Outcome, resident_bytes};
 use parking_lot::Mutex;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
@@ -45,6 +46,9 @@ const AFTER_TOO_NEW: Duration = Duration::from_secs(30);
 
 /// How often a sleeping worker checks the clock.
 const GLANCE: Duration = Duration::from_secs(30);
+
+/// How often a sleeping worker asks whether it is to sleep on: its calendar may have changed, or its node may be gone.
+const ASK_AGAIN: Duration = Duration::from_secs(60);
 
 /// How often checkpoints are sent to the service.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(60);
@@ -62,6 +66,8 @@ pub struct Agent {
     checkpoints: Duration,
     /// Until when this worker sleeps, by this machine's clock.
     asleep: Mutex<Option<(Timestamp, Instant)>>,
+    /// Whether the log says that this worker is asleep.
+    said_asleep: AtomicBool,
 }
 
 /// Why a worker ended by itself.
@@ -138,7 +144,19 @@ impl Agent {
         let (pool, limits, checkpoints) = (Arc::new(pool), TaskLimits::default(), CHECKPOINT_INTERVAL);
         let asleep = Mutex::new(None);
         let worker = Uuid::now_v7();
-        Ok(Self { client, bundles, executor, pool, registration, worker, limits, checkpoints, asleep })
+        let said_asleep = AtomicBool::new(false);
+        Ok(Self {
+            client,
+            bundles,
+            executor,
+            pool,
+            registration,
+            worker,
+            limits,
+            checkpoints,
+            asleep,
+            said_asleep,
+        })
     }
 
     /// Sets limits for every task. If a job has limits too, the stricter ones hold.
@@ -155,6 +173,7 @@ impl Agent {
     pub async fn run(&self, stop: CancellationToken) -> Result<(), AgentError> {
         let Some(mut node) = self.register(Some(self.worker), &stop).await? else { return Ok(()) };
         let patient = self.client.with_backoff(Backoff::FOREVER);
+        let mut was_refused = false;
         while !stop.is_cancelled() {
             self.sleep(&stop).await;
             let claim = ClaimRequest {
@@ -167,15 +186,24 @@ impl Agent {
                 () = stop.cancelled() => break,
                 claimed = patient.claim(&claim, Uuid::now_v7()) => claimed,
             };
+            if claimed.is_ok() {
+                was_refused = false;
+            }
             match claimed {
                 Ok(Claimed::Lease(lease)) => {
+                    self.say_awake();
                     self.work(*lease, &stop).await;
                 }
-                Ok(Claimed::Nothing) => {}
+                Ok(Claimed::Nothing) => self.say_awake(),
                 Ok(Claimed::Asleep(time)) => {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
                 }
                 Err(error) if error.is(ProblemKind::WorkerTooOld) => return Err(self.refused(error)),
+                // Its token may have been rotated just now. Then the new one is about to be in the token's file.
+                Err(error) if error.is(ProblemKind::Unauthenticated) && !was_refused => {
+                    was_refused = true;
+                    pause(AFTER_REFUSAL, &stop).await;
+                }
                 // The worker is refused, or another process has taken its node over.
                 Err(error) if is_unwanted(&error) || error.is(ProblemKind::Conflict) => {
                     return Err(self.refused(error));
@@ -271,21 +299,29 @@ impl Agent {
         }
     }
 
-    /// Sleeps if ordered. Looks at both clocks regularly: timers stop while the machine is suspended, and the
-    /// system's clock may be set back.
+    /// Sleeps if ordered, until it is time to ask again. Looks at both clocks regularly: timers stop while the
+    /// machine is suspended, and the system's clock may be set back.
     async fn sleep(&self, stop: &CancellationToken) {
         let until = self.asleep.lock().take();
         let Some((until, by_timer)) = until else { return };
-        tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
+        if !self.said_asleep.swap(true, Ordering::Relaxed) {
+            tracing::info!(node = self.registration.name, %until, "asleep by its calendar");
+        }
+        let asks = Instant::now() + ASK_AGAIN;
         while !stop.is_cancelled() {
             let left = until.micros_since(Timestamp::now()).max(0);
             let left = Duration::from_micros(left.unsigned_abs())
-                .min(by_timer.saturating_duration_since(Instant::now()));
+                .min(by_timer.min(asks).saturating_duration_since(Instant::now()));
             if left.is_zero() {
-                tracing::info!(node = self.registration.name, "awake");
                 return;
             }
             pause(left.min(GLANCE), stop).await;
+        }
+    }
+
+    fn say_awake(&self) {
+        if self.said_asleep.swap(false, Ordering::Relaxed) {
+            tracing::info!(node = self.registration.name, "awake");
         }
     }
 
