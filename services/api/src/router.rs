@@ -140,9 +140,18 @@ pub fn openapi_yaml() -> &'static str {
         let document = frame().merge_from(of_workers).merge_from(routes_of_people().into_openapi());
         let document = with_one_key(document);
         // Strings, numbers, lists and maps with string keys always have a YAML form.
-        document.to_yaml().unwrap_or_default()
+        with_quoted_switches(&document.to_yaml().unwrap_or_default())
     });
     &DOCUMENT
+}
+
+/// Quotes the names `on` and `off` in lists: readers of YAML 1.1 take them for booleans.
+fn with_quoted_switches(yaml: &str) -> String {
+    let line = |line: &str| match line.trim_start() {
+        "- on" | "- off" => line.replace("on", "'on'").replace("off", "'off'"),
+        _ => line.to_owned(),
+    };
+    yaml.lines().map(|each| line(each) + "\n").collect()
 }
 
 /// The axum router. Layers from the outside in: log line, counter, compression, form of errors, panics,

@@ -16,9 +16,9 @@ pub struct NodeRegistration {
     /// Name of the node, unique on the farm: 1 to 100 characters.
     #[schema(min_length = 1, max_length = 100, pattern = r"^[^\x00-\x1F\x7F-\x9F]+$")]
     pub name: String,
-    /// Speed of one of its cores relative to the reference core: above 0, up to 1000.
+    /// Speed of one of its cores relative to the reference core: 0.001 to 1000.
     #[serde(default = "default_speed")]
-    #[schema(default = 1.0, exclusive_minimum = 0, maximum = 1000)]
+    #[schema(default = 1.0, minimum = 0.001, maximum = 1000)]
     pub speed: f64,
     /// Price in micro-units per hour, 0 or more.
     #[serde(default)]
@@ -184,9 +184,9 @@ pub struct NodeChange {
     /// `true` sets the node aside. `false` brings it back and forgets its failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set_aside: Option<bool>,
-    /// Speed of one core relative to the reference core: above 0, up to 1000. `null` restores the node's own.
+    /// Speed of one core relative to the reference core: 0.001 to 1000. `null` restores the node's own.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]
-    #[schema(value_type = Option<f64>, exclusive_minimum = 0, maximum = 1000)]
+    #[schema(value_type = Option<f64>, minimum = 0.001, maximum = 1000)]
     pub speed: Option<Option<f64>>,
     /// Price in micro-units per hour, 0 or more. `null` restores the node's own value.
     #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "given")]

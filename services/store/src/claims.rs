@@ -187,8 +187,8 @@ fn lease(write: &mut Write, node: &Node, task: OfferedTask, ttl: Duration, now: 
         "INSERT INTO leases (id, task_id, node_id, fence, node_speed, state, granted_at, expires_at, beside, p95) \
          VALUES (?, ?, ?, ?, ?, 'active', ?, ?, \
          coalesce((SELECT 1 - o.beside FROM leases o WHERE o.task_id = ? AND o.state = 'active'), 0), \
-         (SELECT CAST(f.cpu_p95 * ifnull((SELECT share FROM tasks WHERE id = ?), 1.0 / f.parts) * j.factor / ? * 1000000 \
-                      AS INTEGER) + iif(? > 1, j.serial_many_cores, j.serial_one_core) FROM frames f JOIN jobs j ON j.id = f.job_id \
+         (SELECT CAST(min(f.cpu_p95 * ifnull((SELECT share FROM tasks WHERE id = ?), 1.0 / f.parts) * j.factor / ? * 1000000, \
+                          1e18) AS INTEGER) + iif(? > 1, j.serial_many_cores, j.serial_one_core) FROM frames f JOIN jobs j ON j.id = f.job_id \
          WHERE f.job_id = ? AND f.frame = ? AND f.cpu_p95 >= 0 AND (? = 'render_part' OR f.parts = 1)))",
         lease.lease_id.0,
         task_id.0,
@@ -374,7 +374,8 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
         .into_iter()
         .map(|row| {
             let work = row.work_by_class.map(|it| it.0);
-            // However much serial time was learnt, some frame is tried again.
+            // At least half of the window counts. Otherwise, serial time that was learnt too high would keep frames
+            // from the node for ever.
             let shared = micros.saturating_sub(row.serial).max(micros / 2);
             (row.name, forecast_seconds_within(shared, node, work.as_ref(), row.factor))
         })

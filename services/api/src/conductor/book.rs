@@ -177,7 +177,9 @@ fn add_qualities(
     let Some(planned) = settled.jobs.iter_mut().find(|planned| planned.verdict.job_id == id) else {
         return Ok(());
     };
-    if planned.verdict.verdict == Verdict::OnTime {
+    // Where the project's budget lacks money, no quality of the job helps.
+    let lacks_money = settled.outlooks.iter().any(|(job, it)| *job == id && it.budget_hold.is_some());
+    if planned.verdict.verdict == Verdict::OnTime || lacks_money {
         return Ok(());
     }
     for offer in qualities(farm, place, &settled.plan.bookings, rungs) {

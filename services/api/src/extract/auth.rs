@@ -31,7 +31,7 @@ macro_rules! caller {
                 match principal.role {
                     $(Role::$role)|+ => Ok(Self(principal)),
                     #[allow(unreachable_patterns, reason = "one of the types admits every role")]
-                    other => Err(forbidden(other)),
+                    other => Err(forbidden(other, &[$(Role::$role),+])),
                 }
             }
         }
@@ -164,7 +164,8 @@ fn take_seat(parts: &Parts, app: &App, caller: &Principal) -> ApiResult<()> {
     Ok(())
 }
 
-fn forbidden(role: Role) -> ApiError {
-    ApiError::new(ProblemKind::Forbidden, format!("a {role} token does not allow this"))
-        .authenticate(WRONG_ROLE)
+fn forbidden(role: Role, allowed: &[Role]) -> ApiError {
+    let allowed = allowed.iter().map(|role| role.name()).collect::<Vec<_>>().join(" or ");
+    let detail = format!("a {role} token does not allow this; the request needs the role {allowed}");
+    ApiError::new(ProblemKind::Forbidden, detail).authenticate(WRONG_ROLE)
 }

@@ -4070,7 +4070,7 @@ export interface components {
             set_aside?: boolean | null;
             /**
              * Format: double
-             * @description Speed of one core relative to the reference core: above 0, up to 1000. `null` restores the node's own.
+             * @description Speed of one core relative to the reference core: 0.001 to 1000. `null` restores the node's own.
              */
             speed?: number | null;
             terms?: components["schemas"]["NodeTerms"] | null;
@@ -4157,7 +4157,7 @@ export interface components {
             schedule?: components["schemas"]["NodeCalendar"] | null;
             /**
              * Format: double
-             * @description Speed of one of its cores relative to the reference core: above 0, up to 1000.
+             * @description Speed of one of its cores relative to the reference core: 0.001 to 1000.
              * @default 1
              */
             speed: number;

@@ -119,10 +119,10 @@ fn check_terms(terms: &NodeTerms) -> ApiResult<()> {
 
 fn check_speed(pointer: &str, speed: f64) -> ApiResult<()> {
     // This form also refuses a NaN.
-    if speed > 0.0 && speed <= 1000.0 {
+    if (0.001..=1000.0).contains(&speed) {
         Ok(())
     } else {
-        Err(ApiError::invalid(pointer, "a speed is above 0 and at most 1000"))
+        Err(ApiError::invalid(pointer, "a speed is 0.001 to 1000"))
     }
 }
 
