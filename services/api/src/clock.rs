@@ -61,7 +61,7 @@ impl ManualClock {
     }
 
     /// Sets the time of day by this many microseconds, back if negative. No time passes.
-    pub fn set_micros(&self, micros: i64) {
+    pub fn set_by(&self, micros: i64) {
         self.now.fetch_add(micros, Ordering::SeqCst);
     }
 }
@@ -129,7 +129,7 @@ mod tests {
         let steady = SteadyClock::new(source.clone());
         source.advance_micros(7);
         assert_eq!((steady.now(), steady.set_by()), (start.plus_micros(7), 0));
-        source.set_micros(-3_600_000_000);
+        source.set_by(-3_600_000_000);
         source.advance_micros(1);
         assert_eq!((steady.now(), steady.set_by()), (start.plus_micros(8), -3_600_000_000));
         steady.follow(-3_600_000_000);

@@ -76,7 +76,7 @@ impl SampleLine {
             sizes.sort_by(f64::total_cmp);
             // The median of n residuals, of which two are spent on the line, as a standard deviation.
             let scale = 1.4826 * sizes[(sizes.len() + 2) / 2];
-            trust = sizes_to_trust(&residuals, scale);
+            trust = trust_of(&residuals, scale);
         }
         let squares =
             sum(points.iter().zip(&trust).map(|(&point, trust)| trust * residual(line, point).powi(2)));
@@ -117,7 +117,7 @@ fn residual((fixed, slope): (f64, f64), (samples, cost): (f64, f64)) -> f64 {
     (cost - fixed - slope * samples) / cost
 }
 
-fn sizes_to_trust(residuals: &[f64], scale: f64) -> Vec<f64> {
+fn trust_of(residuals: &[f64], scale: f64) -> Vec<f64> {
     let limit = HUBER * scale;
     residuals.iter().map(|r| if r.abs() <= limit || limit <= 0.0 { 1.0 } else { limit / r.abs() }).collect()
 }

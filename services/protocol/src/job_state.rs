@@ -54,11 +54,6 @@ impl JobState {
         }
     }
 
-    /// The state of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.name() == name)
-    }
-
     /// Whether a plan books the job.
     pub const fn is_booked(self) -> bool {
         matches!(self, JobState::Booked | JobState::Rendering)

@@ -1,5 +1,6 @@
 //! Cost in work and CPU time, as measured by a worker.
 
+use crate::SpentOnForecast;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -32,10 +33,24 @@ impl Spent {
         }
     }
 
+    /// CPU time of a renderer that counts no work. Its work is its CPU time in microseconds.
+    pub const fn uncounted(cpu_nanos: u64) -> Self {
+        Self { work: cpu_nanos / 1000, cpu_nanos }
+    }
+
+    /// The cost of a quote that forecasts so much work.
+    pub fn on_forecast(self, work: f64) -> SpentOnForecast {
+        SpentOnForecast {
+            work: self.work,
+            cpu_seconds: self.cpu_nanos as f64 * 1e-9,
+            fraction_of_forecast: if work > 0.0 { self.work as f64 / work } else { 0.0 },
+        }
+    }
+
     /// The mean. `None` if there are none.
     pub fn mean(all: impl ExactSizeIterator<Item = Self>) -> Option<Self> {
         let count = u64::try_from(all.len()).ok().filter(|&count| count > 0)?;
-        let sum = all.fold(Self::default(), Self::plus);
+        let sum: Self = all.sum();
         Some(Self { work: sum.work / count, cpu_nanos: sum.cpu_nanos / count })
     }
 
@@ -43,6 +58,12 @@ impl Spent {
     #[must_use]
     pub fn at_speed_one(self, speed: f64) -> Self {
         Self { cpu_nanos: at_speed_one(self.cpu_nanos, speed), ..self }
+    }
+}
+
+impl std::iter::Sum for Spent {
+    fn sum<I: Iterator<Item = Self>>(all: I) -> Self {
+        all.fold(Self::default(), Self::plus)
     }
 }
 

@@ -67,11 +67,6 @@ impl TaskKind {
     pub const fn is_booked(self) -> bool {
         matches!(self, TaskKind::CacheFill | TaskKind::RenderPart | TaskKind::Render)
     }
-
-    /// The kind of this name.
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name)
-    }
 }
 
 impl fmt::Display for TaskKind {

@@ -1,5 +1,6 @@
 //! Counted things in words.
 
+use serde::de::{DeserializeOwned, IntoDeserializer as _};
 use std::fmt::Display;
 
 /// A number with its noun: `1 frame`, `2 frames`. The noun is given as one thing.
@@ -18,9 +19,29 @@ pub fn was_or_were<N: PartialEq + From<u8>>(number: N) -> &'static str {
     if number == N::from(1) { "was" } else { "were" }
 }
 
+/// The value of an enumeration with this JSON name.
+///
+/// # Errors
+/// Says which names there are.
+pub fn by_name<T: DeserializeOwned>(name: &str) -> Result<T, String> {
+    T::deserialize(name.into_deserializer()).map_err(|error: serde::de::value::Error| {
+        let error = error.to_string();
+        // Serde says the wrong name first, which the caller knows.
+        error.rfind("expected ").map_or(error.clone(), |at| error[at..].replace('`', ""))
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Role;
+
+    #[test]
+    fn a_name_that_is_none_is_answered_with_all_names() {
+        assert_eq!(by_name("worker"), Ok(Role::Worker));
+        let error = by_name::<Role>("boss, expected `x`").unwrap_err();
+        assert_eq!(error, format!("expected one of {}", Role::ALL.map(Role::name).join(", ")));
+    }
 
     #[test]
     fn one_thing_has_no_s() {

@@ -282,16 +282,7 @@ impl Measured<'_> {
 
     fn spent(&self, forecast: f64) -> SpentOnForecast {
         let profiles = self.profiles.iter().map(|profile| profile.result.spent);
-        spent_on(profiles.fold(self.preview.spent, Spent::plus), forecast)
-    }
-}
-
-/// The cost of a quote that forecasts so much work.
-pub(crate) fn spent_on(spent: Spent, forecast: f64) -> SpentOnForecast {
-    SpentOnForecast {
-        work: spent.work,
-        cpu_seconds: spent.cpu_nanos as f64 * 1e-9,
-        fraction_of_forecast: if forecast > 0.0 { spent.work as f64 / forecast } else { 0.0 },
+        profiles.fold(self.preview.spent, Spent::plus).on_forecast(forecast)
     }
 }
 

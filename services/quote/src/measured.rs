@@ -28,7 +28,7 @@ impl MeasuredProfile {
     /// A profile by a renderer that counts no work. Its work is CPU time in microseconds, on a node of speed
     /// 1.
     pub fn of_renderer(mut result: ProfileResult, node_speed: f64, spp: u32) -> Self {
-        let work = |cpu_nanos: u64| at_speed_one(cpu_nanos, node_speed) / 1000;
+        let work = |cpu_nanos: u64| Spent::uncounted(at_speed_one(cpu_nanos, node_speed)).work;
         result.samples.iter_mut().for_each(|sample| sample.work = work(sample.cpu_nanos));
         let spent = |Spent { cpu_nanos, .. }: Spent| Spent { work: work(cpu_nanos), cpu_nanos };
         result.fixed.build = spent(result.fixed.build);

@@ -14,7 +14,7 @@ use forelight_protocol::{
 
 use crate::division::finished_samples;
 use crate::error::QuoteError;
-use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles, spent_on};
+use crate::job_forecast::{JobForecast, Quote, Spreads, quantiles};
 use crate::populations::Populations;
 
 /// A measured frame, and the speed of the node that measured it.
@@ -66,7 +66,7 @@ pub fn quote_sampled(
     let spent = profiles.iter().map(|profile| profile.result.spent);
     let job = JobForecast {
         profiled: profiled(preview, profiles),
-        spent: spent_on(spent.fold(preview.spent, Spent::plus), total.work.mean),
+        spent: spent.fold(preview.spent, Spent::plus).on_forecast(total.work.mean),
         total,
         calibrated: shot.calibrated,
         most_parts: most_parts(profiles),
@@ -189,5 +189,5 @@ fn most_parts(profiles: &[SampledProfile]) -> u32 {
 fn fixed(shot: &SampledShotForecast) -> FixedCosts {
     let sum: f64 = shot.frames.iter().map(|frame| frame.fixed_nanos).sum();
     let mean = (sum / shot.frames.len().max(1) as f64).round().max(0.0) as u64;
-    FixedCosts { build: Spent { work: mean / 1000, cpu_nanos: mean }, ..FixedCosts::default() }
+    FixedCosts { build: Spent::uncounted(mean), ..FixedCosts::default() }
 }

@@ -9,8 +9,7 @@ use crate::files::Files;
 use crate::open_shots::OpenShots;
 use crate::process::Sandbox;
 use crate::quoting::{
-    Measurement, PixelChoice, PixelProfile, as_spent, measure_frame, own_number, preview_result,
-    profile_pixels,
+    Measurement, PixelChoice, PixelProfile, measure_frame, own_number, preview_result, profile_pixels,
 };
 use bytes::Bytes;
 use forelight_forecast::Strategy;
@@ -19,7 +18,7 @@ use forelight_pictures::{cost_map, tone_map};
 use forelight_protocol::{
     ArtifactHash, FinishedPart, LogLevel, PartRange, PreviewSpec, ProfileSpec, Rays, RenderArtifacts,
     RenderPartResult, RenderPartSpec, RenderResult, RenderSpec, RenderStats, SampleRange, SampleShare,
-    SceneDigest, SceneSummary, TaskLimit, TaskResult, TaskSpec,
+    SceneDigest, SceneSummary, Spent, TaskLimit, TaskResult, TaskSpec,
 };
 use forelight_scene::{open_no_link, open_regular};
 use image::{DynamicImage, ImageFormat, ImageReader, Rgb, RgbImage};
@@ -195,7 +194,7 @@ impl Task<'_> {
         let result = RenderPartResult {
             finished: FinishedPart::Samples(share),
             rest: None,
-            spent: as_spent(measured.cost.cpu_nanos),
+            spent: Spent::uncounted(measured.cost.cpu_nanos),
             peak_memory_bytes: measured.cost.peak_memory_bytes,
         };
         Ok(Outcome { result: TaskResult::RenderPart(result), artifacts: files.contents })
@@ -252,8 +251,8 @@ impl Task<'_> {
     /// The cost of the whole frame: of this render, and of what it took over.
     fn stats(&self, spec: &RenderSpec, cost: &Cost, taken_over: TakenOver) -> RenderStats {
         let of_shares: u64 = spec.shares.iter().map(|share| share.cpu_nanos).sum();
-        let reused = as_spent(of_shares + taken_over.cpu_nanos);
-        let whole = as_spent(cost.cpu_nanos).plus(reused);
+        let reused = Spent::uncounted(of_shares + taken_over.cpu_nanos);
+        let whole = Spent::uncounted(cost.cpu_nanos).plus(reused);
         RenderStats {
             frame: spec.frame,
             width: self.settings.common.width,

@@ -3,6 +3,7 @@
 
 use std::marker::PhantomData;
 
+use forelight_protocol::words::by_name;
 use forelight_protocol::{
     ArtifactHash, BookingId, BudgetForecast, BundleId, DeliveryId, JobId, JobState, LeaseId, LogLevel,
     NodeId, PlanId, SceneSummary, SessionId, TaskId, TaskKind, TaskSpec, Timestamp, TokenId, WebhookId,
@@ -77,8 +78,7 @@ pub(crate) struct Word<T>(pub T);
 impl<'r, T: DeserializeOwned> Decode<'r, Sqlite> for Word<T> {
     fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
         let text = <&str as Decode<Sqlite>>::decode(value)?;
-        let value = serde_json::Value::from(text);
-        serde_json::from_value(value).map(Self).map_err(|error| named::<T>(error))
+        by_name(text).map(Self).map_err(|error| named::<T>(error))
     }
 }
 
@@ -93,7 +93,7 @@ pub(crate) fn hex_list(ids: impl IntoIterator<Item = Uuid>) -> Json<Vec<String>>
 }
 
 /// A decoding error with the name of the expected type.
-fn named<T>(error: serde_json::Error) -> BoxDynError {
+fn named<T>(error: impl std::fmt::Display) -> BoxDynError {
     let name = std::any::type_name::<T>();
     format!("{}: {error}", name.rsplit("::").next().unwrap_or(name)).into()
 }

@@ -82,15 +82,12 @@ pub use plans::farm_jobs::{FarmFrame, FarmJob};
 pub use plans::replans::Wanted;
 pub use plans::{NewJobPlan, NewPlan};
 pub use policy::availability::{Opening, as_it_is, free_time_of, opening, silence};
-pub use policy::faults::{FAULTS, STALLED};
 pub use policy::overdue::TaskAttempt;
 pub use policy::projection::{
     Holder, JobEnds, OpenBooking, OpenCachePart, Projected, ProjectedCachePart, Projection, project,
 };
 pub use policy::rebooking::NewBooking;
-pub use policy::retries::{AGREEING_NODES, FAILED_NODES, MAX_EXPIRIES, MAX_FAILURES, PERMANENT_ATTEMPTS};
-pub use policy::work_stealing::OVERDUE;
-pub use projects::{DEFAULT_PROJECT, HALF_LIFE, ProjectUse};
+pub use projects::{HALF_LIFE, ProjectUse};
 pub use quotas::QuotaOf;
 pub use quotes::profiling::ProfileVersion;
 pub use quotes::track_record::FinishedJob;

@@ -31,9 +31,6 @@ pub struct ProjectUse {
     pub used: Vec<(Timestamp, i64)>,
 }
 
-/// The project of jobs that name none. It exists from the beginning.
-pub const DEFAULT_PROJECT: &str = "default";
-
 /// A project that does not exist is a [`StoreError::NoProject`].
 pub(crate) async fn check_exists(connection: &mut SqliteConnection, project: &str) -> Result<()> {
     let known = sqlx::query_scalar!(

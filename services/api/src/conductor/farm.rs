@@ -115,7 +115,7 @@ impl Asked {
         planned.map(|planned| self.under_way.map_or(planned, |end| end.max(planned)))
     }
 
-    /// Whether the plan has to keep its deadline. That of a job that is held waits.
+    /// Whether the plan has to keep its deadline. The deadline of a job that is held does not bind.
     pub fn binds(&self) -> bool {
         self.is_promised() && !self.held
     }

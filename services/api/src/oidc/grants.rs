@@ -100,10 +100,10 @@ impl SignInProvider {
         let (mut everywhere, mut projects) = (None::<Role>, BTreeMap::<String, Role>::new());
         for grant in self.grants.iter().filter(held) {
             match &grant.project {
-                None => everywhere = everywhere.max_by_rank(grant.role),
+                None => everywhere = Some(higher(everywhere, grant.role)),
                 Some(project) => {
-                    let role = projects.get(project).copied().max_by_rank(grant.role);
-                    projects.extend(role.map(|role| (project.clone(), role)));
+                    let role = higher(projects.get(project).copied(), grant.role);
+                    projects.insert(project.clone(), role);
                 }
             }
         }
@@ -120,14 +120,8 @@ impl SignInProvider {
     }
 }
 
-trait MaxByRank {
-    fn max_by_rank(self, other: Role) -> Option<Role>;
-}
-
-impl MaxByRank for Option<Role> {
-    fn max_by_rank(self, other: Role) -> Option<Role> {
-        Some(self.filter(|own| rank(*own) >= rank(other)).unwrap_or(other))
-    }
+fn higher(own: Option<Role>, other: Role) -> Role {
+    own.filter(|own| rank(*own) >= rank(other)).unwrap_or(other)
 }
 
 #[cfg(test)]

@@ -246,7 +246,7 @@ async fn a_clock_that_is_set_by_hours_costs_no_lease_and_holds_none() {
     farm.submit("0").await;
     let lease = farm.next_task(&a).await;
     for hours in [5, -9] {
-        clock.set_micros(hours * 3_600_000_000);
+        clock.set_by(hours * 3_600_000_000);
         until("the clock is followed", async || {
             assert!(farm.claim(&b).await.is_none(), "the lease was taken for one that ran out");
             let renewal: Renewal = farm.renew(&lease, json!({})).await.parsed(StatusCode::OK).await;

@@ -4,6 +4,7 @@ use super::cancel::find_any;
 use crate::connection::{ConnectionOptions, connect};
 use anyhow::{Context, Result};
 use forelight_client::{Backoff, Client, ClientError, EventStream};
+use forelight_protocol::words::by_name;
 use forelight_protocol::{Event, EventId, EventKind, JobId, NodeId, Timestamp};
 use forelight_terminal::failure::StoppedWatching;
 use forelight_terminal::foreign_text::shown;
@@ -46,8 +47,7 @@ pub struct Args {
 }
 
 fn kind(text: &str) -> Result<EventKind, String> {
-    let name = serde_json::Value::from(text.replace('-', "_"));
-    serde_json::from_value(name).map_err(|_| "no kind of event; docs/api.md lists them".to_owned())
+    by_name(&text.replace('-', "_"))
 }
 
 pub async fn run(args: Args, interrupt: Interrupt) -> Result<()> {

@@ -4,6 +4,7 @@ use super::status::bar;
 use crate::connection::ConnectionOptions;
 use crate::connection::connect;
 use anyhow::{Context, Result};
+use forelight_protocol::words::by_name;
 use forelight_protocol::{Job, JobState, Timestamp};
 use forelight_terminal::failure::BadInput;
 use forelight_terminal::output;
@@ -22,7 +23,7 @@ Examples:
 pub struct Args {
     /// List only jobs in this state: previewing, profiling, quoted, booked, rendering, done, failed or
     /// cancelled
-    #[arg(long, value_name = "STATE", value_parser = state)]
+    #[arg(long, value_name = "STATE", value_parser = by_name::<JobState>)]
     state: Option<JobState>,
     /// List only jobs of this project
     #[arg(long, value_name = "NAME")]
@@ -37,10 +38,6 @@ pub struct Args {
     connection: ConnectionOptions,
 }
 
-fn state(text: &str) -> Result<JobState, String> {
-    JobState::from_name(text)
-        .ok_or_else(|| format!("expected one of {}", JobState::ALL.map(JobState::name).join(", ")))
-}
 pub async fn run(args: Args) -> Result<()> {
     if args.project.as_deref() == Some("") {
         return Err(BadInput::new("--project: the name is empty").into());

@@ -5,6 +5,7 @@ use crate::named::{Kind, the_one};
 use anyhow::{Context, Result, bail};
 use clap::Subcommand;
 use forelight_client::Client;
+use forelight_protocol::words::by_name;
 use forelight_protocol::{
     Delivery, DeliveryState, Timestamp, Webhook, WebhookId, WebhookKind, WebhookRequest,
 };
@@ -68,7 +69,7 @@ struct AddArgs {
     /// Address of the receiver, http or https
     url: String,
     /// What it is told of [default: everything]
-    #[arg(long, value_name = "KIND,...", value_delimiter = ',', value_parser = kind)]
+    #[arg(long, value_name = "KIND,...", value_delimiter = ',', value_parser = by_name::<WebhookKind>)]
     kinds: Vec<WebhookKind>,
     /// Tell it of jobs and budgets of this project alone [default: of all, and of nodes]
     #[arg(long, value_name = "NAME")]
@@ -117,12 +118,6 @@ struct RemoveArgs {
     wanted: String,
     #[command(flatten)]
     connection: ConnectionOptions,
-}
-
-fn kind(text: &str) -> Result<WebhookKind, String> {
-    let names = WebhookKind::ALL.map(WebhookKind::name);
-    let found = WebhookKind::ALL.into_iter().find(|kind| kind.name() == text);
-    found.ok_or_else(|| format!("expected some of {}", names.join(", ")))
 }
 
 fn template(text: &str) -> Result<Value, String> {
@@ -329,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_kind_is_named_as_in_the_api() {
-        assert_eq!(kind("node_set_aside"), Ok(WebhookKind::NodeSetAside));
-        assert!(kind("weather").unwrap_err().contains("promise_at_risk, promise_safe"));
+        assert_eq!(by_name("node_set_aside"), Ok(WebhookKind::NodeSetAside));
+        assert!(by_name::<WebhookKind>("weather").unwrap_err().contains("promise_at_risk, promise_safe"));
     }
 }

@@ -19,14 +19,14 @@ mod probes;
 pub use neighbours::{WARMING_SHARE, free_neighbours, middle_mean, proportional_sites, sites};
 pub use offline::{QuotingError, QuotingStep, ShotQuote, Wanted, quote_shot};
 pub use pixels::{PixelChoice, PixelProfile, profile_pixels};
+pub(crate) use previews::own_number;
 pub use previews::preview_result;
-pub(crate) use previews::{as_spent, own_number};
 
 use crate::door::{
     Artefact, BlockCosts, Capability, Cost, FixedCosts, Part, RendererError, RendererId, Run, Settings, Shot,
     Stopping,
 };
-use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, StratumTime, Varied};
+use forelight_protocol::{FixedPart, MeasuredFrame, MeasuredShare, Spent, StratumTime, Varied};
 use image::RgbImage;
 use probes::{best, costs, hide, probes, whole};
 use std::collections::BTreeMap;
@@ -116,7 +116,7 @@ pub fn measure_frame(
         strata: times.into_iter().map(time).collect(),
         shares,
         preview_png: None,
-        spent: as_spent(spent.cpu_nanos),
+        spent: Spent::uncounted(spent.cpu_nanos),
         peak_memory_bytes: spent.peak_memory_bytes,
     };
     Ok(Measurement { result, artefacts, blocks, ids })

@@ -2,14 +2,14 @@
 
 use super::coverage::{grids, ratio};
 use super::neighbours::{WARMING_SHARE, free_neighbours, middle_mean, proportional_sites, sites};
-use super::previews::{BACKGROUND_COST, as_spent, name_of, own_number};
+use super::previews::{BACKGROUND_COST, name_of, own_number};
 use crate::door::{
     Artefact, Capability, PixelCost, PixelProfiler, ProfiledPixels, RendererError, RendererId, Run, Settings,
     Shot, Shown,
 };
 use crate::files::artifact_name;
 use forelight_forecast::{Cost, ForecastError, Observation, Pick, Strategy, Stratum};
-use forelight_protocol::{FixedCosts, ProfileArtifacts, ProfileResult, ProfileSample};
+use forelight_protocol::{FixedCosts, ProfileArtifacts, ProfileResult, ProfileSample, Spent};
 use forelight_quote::stratum_key;
 use image::RgbImage;
 use std::collections::{BTreeMap, BTreeSet};
@@ -80,11 +80,11 @@ pub fn profile_pixels(
         left_out: Vec::new(),
         renderer: Some(renderer.to_string()),
         work_by_class: None,
-        fixed: FixedCosts { build: as_spent(fixed.values().sum()), ..FixedCosts::default() },
+        fixed: FixedCosts { build: Spent::uncounted(fixed.values().sum()), ..FixedCosts::default() },
         file_bytes: None,
         once: None,
         ladders: None,
-        spent: as_spent(cost.cpu_nanos),
+        spent: Spent::uncounted(cost.cpu_nanos),
         artifacts: ProfileArtifacts { profile: artifact_name(&bytes), preview_png: None },
     };
     Ok(PixelProfile { result, artefact, taken_over_nanos: finished_nanos, ids, strata })
@@ -192,7 +192,7 @@ fn measure_neighbours(
 }
 
 fn observation((pick, cost): (&Pick, &PixelCost)) -> Observation {
-    let work = as_spent(cost.cpu_nanos).work;
+    let work = Spent::uncounted(cost.cpu_nanos).work;
     Observation { stratum: pick.stratum, cost: Cost { work, cpu_nanos: cost.cpu_nanos, rays: cost.rays } }
 }
 
@@ -231,7 +231,7 @@ impl Strata {
         let sample = |(pixel, cost): (&u32, &PixelCost)| ProfileSample {
             pixel: *pixel,
             stratum: u32::try_from(seen.binary_search(&of(pixel)).unwrap_or(seen.len())).unwrap_or(u32::MAX),
-            work: as_spent(cost.cpu_nanos).work,
+            work: Spent::uncounted(cost.cpu_nanos).work,
             extra_work: 0,
             work_by_ray: [0; 7],
             cpu_nanos: cost.cpu_nanos,

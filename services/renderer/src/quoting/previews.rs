@@ -45,7 +45,7 @@ pub fn preview_result(
         background_prior_cost: BACKGROUND_COST,
         record_prior_cost: None,
         backend: previews.first().map_or(PreviewBackend::Renderer, |preview| preview.backend),
-        spent: as_spent(spent.cpu_nanos),
+        spent: Spent::uncounted(spent.cpu_nanos),
         described: Some(Box::new(described(renderer, description, (name, digest), settings))),
     })
 }
@@ -54,11 +54,6 @@ pub fn preview_result(
 pub(crate) fn own_number(frame: u32) -> Result<i32, RendererError> {
     i32::try_from(frame)
         .map_err(|_| RendererError::Unsupported(format!("frame {frame}: the number is too large")))
-}
-
-/// CPU time as a cost: renderers behind the door do not count work, so it is CPU time in microseconds.
-pub(crate) fn as_spent(cpu_nanos: u64) -> Spent {
-    Spent { work: cpu_nanos / 1000, cpu_nanos }
 }
 
 /// Numbers of object and material of a pixel, as the wire has them. `None`: the background.

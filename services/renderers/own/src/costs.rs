@@ -31,6 +31,11 @@ pub fn counts(records: Vec<u64>) -> Vec<u32> {
     records.into_iter().map(|count| u32::try_from(count).unwrap_or(u32::MAX)).collect()
 }
 
+/// Cost of a pixel, as protocol data.
+pub fn spent_on(pixel: &Pixel) -> Spent {
+    Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos }
+}
+
 /// A cost of the tracer, as protocol data.
 pub fn spent(cost: forelight_tracer::Cost) -> Spent {
     Spent { work: cost.work, cpu_nanos: cost.cpu_nanos }

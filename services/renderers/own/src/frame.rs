@@ -2,7 +2,7 @@
 
 use crate::accuracy::Blocks;
 use crate::answers::{CacheUse, Finished, Previewed, Progress, Step};
-use crate::costs::{by_class, spent};
+use crate::costs::{by_class, spent, spent_on};
 use crate::error::RenderError;
 use crate::preview_cost::{backend, preview_spent};
 use crate::shot::{OwnShot, Ready, records};
@@ -330,8 +330,7 @@ impl OwnFrame<'_> {
         let first = |&number: &u32| {
             traced.iter().map(|(_, samples)| mean(&samples[..number as usize])).collect::<Vec<_>>()
         };
-        let spent = |(pixel, _): &(Pixel, _)| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
-        let all = traced.iter().map(spent).fold(Spent::default(), Spent::plus);
+        let all = traced.iter().map(|(pixel, _)| spent_on(pixel)).sum();
         Some((numbers.iter().map(first).collect(), all))
     }
 

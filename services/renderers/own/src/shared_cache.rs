@@ -4,7 +4,7 @@
 //! of it. Records whose light has changed in another frame are dropped there and planned anew
 //! ([`crate::OwnFrame::share`]). A frame's image depends on the shared cache and the frame alone.
 
-use crate::costs::{cost_of, counts, own_records, spent};
+use crate::costs::{cost_of, counts, own_records, spent, spent_on};
 use crate::error::RenderError;
 use crate::profile::{ProfiledFrame, records_to_sample};
 use crate::quote_options::QuoteOptions;
@@ -131,7 +131,7 @@ pub fn profile_shared(
     let mut spent = ready.spent_on_setup().plus(ready.fixed().plan);
     let sample = |(pixel, _): (Pixel, PixelNoise)| {
         let cost = cost_of(&pixel);
-        spent = spent.plus(Spent { work: cost.work, cpu_nanos: cost.cpu_nanos });
+        spent = spent.plus(spent_on(&pixel));
         let cpu_nanos = (cost.cpu_nanos as f64 * warmth).round() as u64;
         SharedSample { work: cost.work, extra_work: pixel.extra_work, cpu_nanos, rays: cost.rays }
     };

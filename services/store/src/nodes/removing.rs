@@ -18,10 +18,10 @@ use crate::writing::run;
 impl Store {
     /// Removes a node with its tokens, and calls for a new plan. A node that holds a task is a
     /// [`StoreError::Conflict`], unless its tasks may be taken away. They are ready again then.
-    pub async fn remove_node(&self, node: NodeId, take_tasks: bool, now: Timestamp) -> Result<()> {
+    pub async fn remove_node(&self, node: NodeId, cancel_task: bool, now: Timestamp) -> Result<()> {
         let mut write = self.write().await?;
         let found = read(write.connection().await?, node).await?;
-        if let Some(task) = found.task_id.filter(|_| !take_tasks) {
+        if let Some(task) = found.task_id.filter(|_| !cancel_task) {
             return Err(StoreError::Conflict(format!(
                 "the node {:?} holds task {task}; drain it first, or remove it with its tasks",
                 found.name

@@ -15,25 +15,25 @@ use forelight_protocol::Timestamp;
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
 
-/// No task is late before: fetching its files takes as long. In microseconds, as all here.
+/// No task is late before this time, because fetching its files may take as long. In microseconds, as all here.
 pub const LEAST_LATE: i64 = 10 * SECOND;
 
 /// A task stalls after so many times its P95.
 pub const AGAIN: i64 = 5;
 
-/// No task stalls before.
+/// No task stalls before this time.
 pub const LEAST_AGAIN: i64 = MINUTE;
 
 /// A lease ends after so many times the task's P95.
 pub const LIMIT: i64 = 30;
 
-/// No lease ends before for its time.
+/// No lease ends for its length before this time.
 pub const LEAST_LIMIT: i64 = 15 * MINUTE;
 
 /// The P95 of a task without a forecast.
 pub const UNKNOWN_P95: i64 = 4 * MINUTE;
 
-/// The lease of a task without a forecast ends after.
+/// The lease of a task without a forecast ends after this time.
 const UNKNOWN_LIMIT: i64 = 24 * 60 * MINUTE;
 
 /// An attempt at a task.

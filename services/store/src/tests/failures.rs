@@ -5,7 +5,8 @@ use forelight_protocol::{
 };
 
 use super::*;
-use crate::{FAULTS, MAX_FAILURES};
+use crate::policy::faults::FAULTS;
+use crate::policy::retries::MAX_FAILURES;
 
 fn error(message: &str) -> TaskError {
     TaskError { message: message.to_owned(), ..TaskError::default() }

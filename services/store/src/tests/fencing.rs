@@ -3,7 +3,8 @@
 use forelight_protocol::{EventKind, FrameState, JobState, LeaseOrder, TaskError};
 
 use super::*;
-use crate::{MAX_EXPIRIES, StoreError};
+use crate::StoreError;
+use crate::policy::retries::MAX_EXPIRIES;
 
 fn error(message: &str) -> TaskError {
     TaskError { message: message.to_owned(), ..TaskError::default() }

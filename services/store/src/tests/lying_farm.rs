@@ -8,7 +8,8 @@ use forelight_random::Random;
 
 use super::trust::forged;
 use super::*;
-use crate::{FAULTS, StoreError};
+use crate::StoreError;
+use crate::policy::faults::FAULTS;
 
 const NODES: usize = 12;
 const LIARS: usize = NODES / 4;

@@ -3,7 +3,8 @@
 use forelight_protocol::{FinishedPixels, LeaseOrder};
 
 use super::*;
-use crate::{STALLED, StoreError, project};
+use crate::policy::faults::STALLED;
+use crate::{StoreError, project};
 
 impl Farm {
     /// Renews a lease without progress and sweeps, every five seconds.

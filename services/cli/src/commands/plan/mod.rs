@@ -379,8 +379,9 @@ fn job_name(input: &Input, id: u64) -> String {
 
 /// UTC.
 fn clock(instant: i64) -> String {
-    jiff::Timestamp::from_microsecond(instant)
-        .map_or_else(|_| "never".to_owned(), |at| at.strftime("%d %b %H:%M").to_string())
+    Some(forelight_plots::clock(instant))
+        .filter(|text| !text.is_empty())
+        .unwrap_or_else(|| "never".to_owned())
 }
 
 #[cfg(test)]

@@ -309,7 +309,7 @@ fn compared(
     let mut spent = Spent::default();
     for tile in &tiles.tiles {
         let (means, cost) = ready.tracer.independent_pixels(&tiles.pixels(tile), MEANS, stop)?;
-        spent = spent.plus(Spent { work: cost.work, cpu_nanos: cost.cpu_nanos });
+        spent = spent.plus(crate::costs::spent(cost));
         let places = tiles.places(tile);
         let of_numbers = colors.iter().zip(denoised);
         for (sums, (noisy, denoised)) in numbers.iter_mut().zip(of_numbers) {

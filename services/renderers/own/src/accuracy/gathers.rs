@@ -8,6 +8,7 @@
 
 use super::pilot::Pilot;
 use crate::accuracy::observer::{AccuracyObserver, traced};
+use crate::costs::spent_on;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::profile::noise::FrameNoise;
@@ -124,6 +125,5 @@ fn gathered_rays(settings: &RenderSettings) -> f64 {
 }
 
 pub fn cost(traced: &[(Pixel, PixelNoise)]) -> Spent {
-    let spent = |pixel: &Pixel| Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos };
-    traced.iter().map(|(pixel, _)| spent(pixel)).fold(Spent::default(), Spent::plus)
+    traced.iter().map(|(pixel, _)| spent_on(pixel)).sum()
 }

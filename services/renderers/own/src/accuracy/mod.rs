@@ -37,7 +37,6 @@ use observer::is_cancelled;
 pub use observer::{AccuracyObserver, AccuracyOptions};
 pub(crate) use pilot::Pilot;
 
-use crate::costs::seconds;
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::quote_options::QuoteOptions;
@@ -46,7 +45,7 @@ use denoising::{Chosen, Left};
 use forelight_forecast::Calibration;
 use forelight_protocol::{
     AccuracyDoc, AccuracyRung, CacheMode, Integrator, LadderKind, MissingLadder, Profiled, Quantiles,
-    RenderSettings, Spent, SpentOnForecast,
+    RenderSettings, Spent,
 };
 use forelight_quote::{ladder, mark};
 use gathers::{affordable, is_too_dear, relate};
@@ -306,7 +305,6 @@ impl<'a> Prediction<'a> {
     fn document(self) -> AccuracyDoc {
         let spent = self.pilots.iter().map(|pilot| pilot.spent).fold(self.spent, Spent::plus);
         let asked = self.rungs.iter().find(|rung| rung.asked_for).map_or(0.0, |rung| rung.work.mean);
-        let fraction = if asked > 0.0 { spent.work as f64 / asked } else { 0.0 };
         let mut document = AccuracyDoc {
             frames: 1,
             settings: self.asked.clone(),
@@ -316,11 +314,7 @@ impl<'a> Prediction<'a> {
                 frames: vec![self.frame],
                 pixels: self.pilots.iter().map(|pilot| pilot.profiled()).sum(),
             },
-            spent: SpentOnForecast {
-                work: spent.work,
-                cpu_seconds: seconds(spent.cpu_nanos),
-                fraction_of_forecast: fraction,
-            },
+            spent: spent.on_forecast(asked),
             calibrated: Calibration::NONE.calibrated,
         };
         mark(&mut document);

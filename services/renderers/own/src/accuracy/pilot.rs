@@ -199,7 +199,8 @@ impl Pilot {
         let mut observations = of_view(&view.counts, of_pixels.collect());
         // A smaller image may have fewer pixels of a stratum than were profiled: forecast copies of it.
         let copies = copies(&view.counts, &observations);
-        let of_copies = |counts: &[u32]| counts.iter().map(|count| count * copies).collect::<Vec<u32>>();
+        let of_copies =
+            |counts: &[u32]| counts.iter().map(|count| count.saturating_mul(copies)).collect::<Vec<u32>>();
         let records = of_copies(records);
         let counts = of_copies(&view.counts);
         let mut frame = [FramePopulation { number: 0, counts, lights: 0, shining: 0, triangles: 0 }];
@@ -217,8 +218,8 @@ impl Pilot {
         let Spent { work, cpu_nanos } = fixed.total();
         let times = u64::from(copies);
         let fixed = Cost {
-            work: work * times,
-            cpu_nanos: cpu_nanos * times,
+            work: work.saturating_mul(times),
+            cpu_nanos: cpu_nanos.saturating_mul(times),
             rays: fixed.plan_rays.map(|rays| rays * times),
         };
         let expansion = &Expansion::Groups;

@@ -10,7 +10,7 @@ pub(crate) mod warm_clock;
 pub(crate) mod work_classes;
 
 use crate::answers::{Counted, Previewed, StratumInfo};
-use crate::costs::{cost_of, spent};
+use crate::costs::{cost_of, spent, spent_on};
 use crate::error::ShotError;
 use crate::frame::OwnFrame;
 use crate::profile::noise::{FrameNoise, Zones};
@@ -299,9 +299,7 @@ pub(crate) fn profile_ready(
         return Err(ShotError::Cancelled);
     }
     let records = ready.sample_records(records_to_sample(samples), seed);
-    let pixels = traced.pixels.iter().fold(Spent::default(), |sum, (_, pixel)| {
-        sum.plus(Spent { work: pixel.work, cpu_nanos: pixel.cpu_nanos })
-    });
+    let pixels = traced.pixels.iter().map(|(_, pixel)| spent_on(pixel)).sum();
     let mut fixed = ready.fixed();
     let mut setup = ready.spent_on_setup();
     if let Some(nanos_per_pixel) = options.denoiser_nanos_per_pixel {

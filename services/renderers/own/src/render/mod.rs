@@ -13,7 +13,7 @@ use forelight_denoise::Denoiser;
 use forelight_protocol::{CacheStats, Rays, RenderSettings, RenderStats, Spent};
 use forelight_renderer::door::Run;
 use forelight_scene::Frame;
-use forelight_tracer::{Cache, CacheTotals, Cost, Image, PixelsFinished, Profile};
+use forelight_tracer::{Cache, CacheTotals, Image, PixelsFinished, Profile};
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -66,7 +66,7 @@ pub fn render_frame(
     Ok(Some(rendered))
 }
 
-/// The same for a frame that is set up. `finished` receives pixels. Wall time is that of tracing alone.
+/// The same for a frame that is set up. `pixels` receives pixels as they are finished. Wall time is that of tracing alone.
 pub fn render_ready(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
@@ -101,7 +101,7 @@ fn stats(
     let taken_over = finished.cache.as_ref().map(|cache| &cache.taken_over);
     let fill = gathered.map_or(Spent::default(), |cache| spent(cache.fill));
     let fixed = ready.fixed();
-    let cost = spent(Cost { work: all.work, cpu_nanos: all.cpu_nanos }).plus(fixed.total()).plus(fill);
+    let cost = Spent { work: all.work, cpu_nanos: all.cpu_nanos }.plus(fixed.total()).plus(fill);
     let reused_cost = taken_over
         .map_or(Spent::default(), |cache| spent(cache.plan + cache.fill))
         .plus(Spent { work: reused.work, cpu_nanos: reused.cpu_nanos });
