@@ -129,8 +129,10 @@ fn in_words(text: &str, is_set: impl Fn(&str) -> bool) -> String {
     for (said, meant) in OF_NUMBERS {
         text = text.replace(said, meant);
     }
-    if let Some((before, range)) = text.split_once(" is not in ") {
-        text = format!("{before} is not within {}", range.replacen("..=", " to ", 1));
+    if let Some((before, rest)) = text.split_once(" is not in ")
+        && rest.split_whitespace().next().is_some_and(|range| range.contains("..="))
+    {
+        text = format!("{before} is not within {}", rest.replacen("..=", " to ", 1));
     }
     // A value such as -2h is no number. Clap's tip is for a flag that no command here has: one that is a digit.
     if let Some((before, rest)) = text.split_once("tip: to pass '-")

@@ -203,13 +203,23 @@ fn hint(error: &anyhow::Error, flags: &Flags) -> Option<String> {
             return scene_hint(error).map(str::to_owned);
         }
         match cause.downcast_ref::<ClientError>()? {
-            ClientError::Unreachable { .. } => {
-                Some("is the service running? start it with `forelight farm`, or set its address with --server".into())
-            }
+            error @ ClientError::Unreachable { .. } => Some(unreachable_hint(error).to_owned()),
             ClientError::Refused(problem) => problem_hint(problem, flags),
             _ => None,
         }
     })
+}
+
+fn unreachable_hint(error: &ClientError) -> &'static str {
+    let causes = std::iter::successors(Some(error as &dyn std::error::Error), |error| error.source());
+    let text: String = causes.map(ToString::to_string).collect();
+    if text.contains("certificate") {
+        "if the service's certificate is signed by an authority of your own, name its file with --ca-file"
+    } else if text.contains("invalid HTTP version") {
+        "does the service use TLS? then its address begins with https://"
+    } else {
+        "is the service running? start it with `forelight farm`, or set its address with --server"
+    }
 }
 
 fn scene_hint(error: &RendererError) -> Option<&'static str> {

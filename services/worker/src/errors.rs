@@ -8,6 +8,13 @@ pub(crate) fn is_lost(error: &ClientError) -> bool {
     error.is(ProblemKind::LeaseLost) || error.is(ProblemKind::NotFound) || error.is(ProblemKind::Conflict)
 }
 
+/// Whether the service does not have an artefact any more. What it does not have now, it will not have later.
+pub(crate) fn is_gone(error: &ClientError) -> bool {
+    [ProblemKind::NotFound, ProblemKind::ArtifactLost, ProblemKind::ArtifactDamaged]
+        .into_iter()
+        .any(|kind| error.is(kind))
+}
+
 /// Whether repeating the request with this token cannot help.
 pub(crate) fn is_unwanted(error: &ClientError) -> bool {
     error.is(ProblemKind::Unauthenticated) || error.is(ProblemKind::Forbidden)

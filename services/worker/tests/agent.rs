@@ -10,10 +10,10 @@ use axum::routing::{patch, post, put};
 use axum::{Json, Router};
 use forelight_client::Client;
 use forelight_protocol::{
-    ArtifactHash, BundleSource, ClaimRequest, FinishedPixels, JobId, Lease, LeaseId, LeaseOrder, LogLevel,
-    NodeRegistration, PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind,
-    RenderSettingsRequest, RenewRequest, Renewal, ResultRequest, SceneDigest, Spent, TaskId, TaskLimit,
-    TaskLimits, TaskResult, TaskSpec, Timestamp,
+    ArtifactHash, BundleSource, ClaimRequest, FinishedPixels, JobId, JobSettings, Lease, LeaseId, LeaseOrder,
+    LogLevel, NodeRegistration, PreviewBackend, PreviewResult, PreviewSpec, Problem, ProblemKind,
+    RenderSettingsRequest, RenderSpec, RenewRequest, Renewal, ResultRequest, SceneDigest, Spent, TaskId,
+    TaskLimit, TaskLimits, TaskResult, TaskSpec, Timestamp,
 };
 use forelight_renderer::{Assignment, Control, Execute, ExecuteError, Outcome};
 use forelight_worker::{Agent, AgentError, Bundles, Errand};
@@ -52,8 +52,9 @@ struct Farm {
     artifacts: BTreeSet<ArtifactHash>,
     reports: Vec<ResultRequest>,
     releases: Vec<LeaseId>,
-    /// Downloads that were started. None ever ends.
+    /// Downloads that were started. None ever ends, unless artefacts are damaged.
     downloads: u32,
+    artifacts_are_damaged: bool,
 }
 
 type Shared = Arc<Mutex<Farm>>;
@@ -134,7 +135,13 @@ async fn store(State(farm): State<Shared>, Path(hash): Path<ArtifactHash>, body:
 }
 
 async fn fetch(State(farm): State<Shared>) -> Response {
-    farm.lock().downloads += 1;
+    {
+        let mut farm = farm.lock();
+        farm.downloads += 1;
+        if farm.artifacts_are_damaged {
+            return problem(ProblemKind::ArtifactDamaged);
+        }
+    }
     std::future::pending().await
 }
 
@@ -587,4 +594,23 @@ async fn the_heartbeat_sends_a_worker_to_sleep_after_its_task() {
     let begun = Instant::now();
     rig.end().await;
     assert!(begun.elapsed() < Duration::from_secs(30), "it slept for a minute first");
+}
+
+#[tokio::test]
+async fn a_frame_whose_profile_is_damaged_is_rendered_without_it_and_one_without_its_parts_is_not() {
+    let hash = ArtifactHash([7; 32]);
+    for (profile, parts, runs) in [(Some(hash), Vec::new(), 1), (None, vec![hash], 0)] {
+        let spec: RenderSpec = serde_json::from_value(serde_json::json!({
+            "job_id": JobId::new(), "bundle": BundleSource::Path("/".into()), "digest": SceneDigest([0; 32]),
+            "frame": 0, "settings": JobSettings::from(RenderSettingsRequest::default().complete((4, 4))),
+            "profile": profile, "parts": parts,
+        }))
+        .unwrap();
+        let lease = Lease { spec: TaskSpec::Render(spec), ..lease(1) };
+        let farm = Farm { ready: vec![lease], artifacts_are_damaged: true, ..Farm::default() };
+        let rig = Rig::new(farm, Slow::new(Duration::ZERO)).await;
+        rig.until("the task was reported", |farm| !farm.reports.is_empty()).await;
+        assert_eq!(rig.farm.lock().reports[0].result.is_some(), runs == 1);
+        assert_eq!(rig.end().await.runs.load(Ordering::SeqCst), runs);
+    }
 }

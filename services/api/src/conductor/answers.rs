@@ -336,8 +336,7 @@ fn effects(snapshot: &Snapshot, farm: &Farm, job: usize) -> Result<Vec<PlanEffec
     }
     changes.extend(busiest(farm, own).map(|node| Change::NodeGone { node, from: farm.input.now }));
     let before = planner::plan(&whole)?;
-    // More nodes do not help jobs whose bookings stay fixed. So both plans of this comparison
-    // fix nothing.
+    // More nodes do not help jobs whose bookings stay fixed. So both plans of this comparison fix nothing.
     let anew = |input: planner::Input| planner::plan(&planner::Input { movable: Vec::new(), ..input });
     let before_anew = if whole.movable.is_empty() { before.clone() } else { anew(whole.clone())? };
     let mut found = Vec::new();

@@ -74,9 +74,9 @@ impl Store {
             Some(BundleSource::Path(_)) | None => {}
             Some(BundleSource::Artifact(hash)) => artifacts.push(*hash),
         }
-        artifacts.extend(spec.profile().into_iter().chain(spec.samples()));
+        artifacts.extend(spec.samples());
         match spec {
-            // Pixels of parts that cannot be read are rendered again.
+            // Pixels of profiles and parts that cannot be read are rendered again.
             TaskSpec::Render(render) => artifacts.extend(render.shares.iter().map(|share| share.hash)),
             spec => artifacts.extend(spec.parts()),
         }

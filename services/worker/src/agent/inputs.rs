@@ -5,11 +5,11 @@ use std::sync::Arc;
 
 use forelight_client::ClientError;
 use forelight_kept::TemporaryFolder;
-use forelight_protocol::{BundleSource, CACHE_BYTES, Lease, LogLevel, ProblemKind, TaskSpec};
+use forelight_protocol::{BundleSource, CACHE_BYTES, Lease, LogLevel, TaskSpec};
 use forelight_renderer::{Assignment, Control, ExecuteError};
 
 use super::{AFTER_REFUSAL, Agent};
-use crate::errors::describe;
+use crate::errors::{describe, is_gone};
 use crate::pictures;
 
 impl Agent {
@@ -17,9 +17,7 @@ impl Agent {
     pub(super) async fn prepare(&self, lease: &Lease, control: &Control) -> Result<Assignment, ExecuteError> {
         let failed = |error: ClientError| {
             let message = describe(&error);
-            // What the service does not have now, it will not have later.
-            let missing = error.is(ProblemKind::NotFound) || error.is(ProblemKind::ArtifactLost);
-            if missing { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
+            if is_gone(&error) { ExecuteError::Input(message) } else { ExecuteError::Transient(message) }
         };
         let pictures =
             match lease.spec.pictures() {
@@ -83,7 +81,15 @@ impl Agent {
         };
         let mut fetched = Assignment::new(lease.spec.clone(), bundle);
         if let Some(hash) = lease.spec.profile() {
-            fetched.profile = Some(self.client.artifact(hash, CACHE_BYTES).await?);
+            match self.client.artifact(hash, CACHE_BYTES).await {
+                Ok(profile) => fetched.profile = Some(profile),
+                // A profile only saves time: without it, its pixels are traced again.
+                Err(error) if is_gone(&error) => {
+                    let text = format!("the frame is rendered without its profile: {}", describe(&error));
+                    control.log(LogLevel::Warn, text);
+                }
+                Err(error) => return Err(error),
+            }
         }
         if let Some(hash) = lease.spec.samples() {
             fetched.samples = Some(self.client.artifact(hash, CACHE_BYTES).await?);

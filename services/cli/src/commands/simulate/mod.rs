@@ -85,7 +85,7 @@ pub struct Args {
     #[arg(long, value_name = "DURATION", default_value = "1h", value_parser = parse_micros)]
     every: i64,
     /// True work divided by forecast work
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor)]
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = up_to_a_thousand)]
     bias: f64,
     /// True spread divided by forecast spread
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = not_negative)]
@@ -94,7 +94,7 @@ pub struct Args {
     #[arg(long, value_name = "HOURS", default_value_t = 720.0, value_parser = not_negative)]
     failures: f64,
     /// Mean time of a repair, hours
-    #[arg(long, value_name = "HOURS", default_value_t = 4.0, value_parser = factor)]
+    #[arg(long, value_name = "HOURS", default_value_t = 4.0, value_parser = up_to_a_thousand)]
     repair: f64,
     /// Time until the lease of a failed node expires, and another node gets its frame, such as 60s
     #[arg(long, value_name = "DURATION", default_value = "60s", value_parser = parse_micros)]
@@ -174,7 +174,7 @@ fn parse_micros(text: &str) -> Result<i64, String> {
     i64::try_from(parse_duration(text)?.as_micros()).map_err(|_| "too long".to_owned())
 }
 
-fn factor(text: &str) -> Result<f64, String> {
+fn up_to_a_thousand(text: &str) -> Result<f64, String> {
     text.parse()
         .ok()
         .filter(|value| (1e-3..=1e3).contains(value))

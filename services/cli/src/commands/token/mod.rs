@@ -212,13 +212,18 @@ const TOKENS: Kind = Kind {
 /// The token with this id, or the only one with this name.
 async fn find(client: &Client, wanted: &str) -> Result<Token> {
     let tokens = client.tokens().await.context("cannot list the tokens")?;
-    only_one(wanted, tokens).map_err(Into::into)
+    only_one(wanted, tokens, Timestamp::now()).map_err(Into::into)
 }
 
-fn only_one(wanted: &str, tokens: Vec<Token>) -> Result<Token, BadInput> {
+fn only_one(wanted: &str, tokens: Vec<Token>, now: Timestamp) -> Result<Token, BadInput> {
     let id: Option<TokenId> = wanted.parse().ok();
     let is_meant = |token: &Token| Some(token.id) == id || token.name == wanted;
-    let found = tokens.into_iter().filter(is_meant).collect();
+    let is_valid = |token: &Token| token.expires_at.is_none_or(|end| end > now);
+    let mut found: Vec<Token> = tokens.into_iter().filter(is_meant).collect();
+    // Expired tokens stay in the list for a while, such as the one before a rotation.
+    if found.len() > 1 && found.iter().any(is_valid) {
+        found.retain(is_valid);
+    }
     the_one(wanted, found, &TOKENS, |token| token.id.to_string())
 }
 
@@ -277,9 +282,14 @@ mod tests {
     fn a_name_is_enough_where_one_token_has_it() {
         let (anna, first, second) = (token("anna"), token("screen"), token("screen"));
         let all = || vec![anna.clone(), first.clone(), second.clone()];
-        assert_eq!(only_one("anna", all()).map_err(|error| error.to_string()), Ok(anna.clone()));
-        assert_eq!(only_one(&second.id.to_string(), all()).map_err(|e| e.to_string()), Ok(second.clone()));
-        let refused = |wanted: &str| only_one(wanted, all()).unwrap_err().to_string();
+        let now = Timestamp::from_micros(5);
+        let found = |wanted: &str, all| only_one(wanted, all, now).map_err(|error| error.to_string());
+        assert_eq!(found("anna", all()), Ok(anna.clone()));
+        assert_eq!(found(&second.id.to_string(), all()), Ok(second.clone()));
+        let before = Token { expires_at: Some(now), ..token("anna") };
+        assert_eq!(found("anna", vec![before.clone(), anna.clone()]), Ok(anna.clone()));
+        assert_eq!(found("anna", vec![before.clone()]), Ok(before));
+        let refused = |wanted: &str| found(wanted, all()).unwrap_err();
         assert_eq!(refused("screen"), "screen: 2 tokens have this name");
         assert_eq!(refused("bert"), "bert: no token has this id or name");
     }
