@@ -134,7 +134,8 @@ fn in_words(text: &str, is_set: impl Fn(&str) -> bool) -> String {
     {
         text = format!("{before} is not within {}", rest.replacen("..=", " to ", 1));
     }
-    // A value such as -2h is no number. Clap's tip is for a flag that no command here has: one that is a digit.
+    // A value such as -2h is no number. Clap's tip is for a flag that no command here has: one that is a
+    // digit.
     if let Some((before, rest)) = text.split_once("tip: to pass '-")
         && rest.starts_with(|first: char| first.is_ascii_digit())
         && let Some((_, after)) = rest.split_once('\n')

@@ -374,8 +374,8 @@ async fn at_most(connection: &mut SqliteConnection, node: &Node, micros: i64) ->
         .into_iter()
         .map(|row| {
             let work = row.work_by_class.map(|it| it.0);
-            // At least half of the window counts. Otherwise, serial time that was learnt too high would keep frames
-            // from the node for ever.
+            // At least half of the window counts. Otherwise, serial time that was learnt too high would keep
+            // frames from the node for ever.
             let shared = micros.saturating_sub(row.serial).max(micros / 2);
             (row.name, forecast_seconds_within(shared, node, work.as_ref(), row.factor))
         })

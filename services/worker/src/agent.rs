@@ -47,7 +47,8 @@ const AFTER_TOO_NEW: Duration = Duration::from_secs(30);
 /// How often a sleeping worker checks the clock.
 const GLANCE: Duration = Duration::from_secs(30);
 
-/// How often a sleeping worker asks whether it is to sleep on: its calendar may have changed, or its node may be gone.
+/// How often a sleeping worker asks whether it is to sleep on: its calendar may have changed, or its node may
+/// be gone.
 const ASK_AGAIN: Duration = Duration::from_secs(60);
 
 /// How often checkpoints are sent to the service.
@@ -199,7 +200,8 @@ impl Agent {
                     self.go_to_sleep(i64::try_from(time.as_micros()).unwrap_or(i64::MAX))
                 }
                 Err(error) if error.is(ProblemKind::WorkerTooOld) => return Err(self.refused(error)),
-                // Its token may have been rotated just now. Then the new one is about to be in the token's file.
+                // Its token may have been rotated just now. Then the new one is about to be in the token's
+                // file.
                 Err(error) if error.is(ProblemKind::Unauthenticated) && !was_refused => {
                     was_refused = true;
                     pause(AFTER_REFUSAL, &stop).await;
@@ -252,8 +254,8 @@ impl Agent {
         Ok(Errand::Stopped)
     }
 
-    /// Registers the node. Retries until the service answers, and understands this worker. `None` if `stop` came
-    /// first.
+    /// Registers the node. Retries until the service answers, and understands this worker. `None` if `stop`
+    /// came first.
     async fn register(
         &self,
         worker: Option<Uuid>,
@@ -299,8 +301,8 @@ impl Agent {
         }
     }
 
-    /// Sleeps if ordered, until it is time to ask again. Looks at both clocks regularly: timers stop while the
-    /// machine is suspended, and the system's clock may be set back.
+    /// Sleeps if ordered, until it is time to ask again. Looks at both clocks regularly: timers stop while
+    /// the machine is suspended, and the system's clock may be set back.
     async fn sleep(&self, stop: &CancellationToken) {
         let until = self.asleep.lock().take();
         let Some((until, by_timer)) = until else { return };

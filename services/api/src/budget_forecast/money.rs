@@ -27,7 +27,8 @@ pub(super) fn sum(amounts: impl Iterator<Item = Money>) -> Money {
     Money(amounts.fold(0i64, |sum, amount| sum.saturating_add(amount.0)))
 }
 
-/// The smallest of the sorted values that at least this percentage of them do not exceed. `None` without values.
+/// The smallest of the sorted values that at least this percentage of them do not exceed. `None` without
+/// values.
 pub(super) fn at(sorted: &[i64], per_cent: usize) -> Option<i64> {
     sorted.get((sorted.len() * per_cent).div_ceil(100).saturating_sub(1)).copied()
 }

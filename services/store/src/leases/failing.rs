@@ -169,9 +169,9 @@ pub(crate) async fn fail(
     Ok(())
 }
 
-/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere, or whose worker crashed, against
-/// their nodes, and all the more if one was called permanent. Only the job is blamed for its limits, and nobody for input
-/// that was gone.
+/// After a task succeeded on a node: holds the earlier attempts that failed elsewhere, or whose worker
+/// crashed, against their nodes, and all the more if one was called permanent. Only the job is blamed for its
+/// limits, and nobody for input that was gone.
 pub(crate) async fn hold_against_others(write: &mut Write, row: &LeaseRow, now: Timestamp) -> Result<()> {
     let nodes = sqlx::query_scalar!(
         "UPDATE leases SET fault = ? WHERE task_id = ? AND state IN ('failed', 'expired') AND fault IS NULL \
@@ -233,8 +233,8 @@ pub(crate) enum TriedOn {
     FailedOrLost,
 }
 
-/// Whether another node could do a task: it takes tasks, was heard of lately, has its renderer, and has not tried it
-/// in vain.
+/// Whether another node could do a task: it takes tasks, was heard of lately, has its renderer, and has not
+/// tried it in vain.
 pub(crate) async fn could_another(
     write: &mut Write,
     row: &LeaseRow,

@@ -65,9 +65,10 @@ impl Store {
     /// Gives every active lease one more term, from now. A service calls this once when it starts, before the
     /// first sweep: workers could not renew while it was down.
     ///
-    /// The time before does not count for tasks that are late. If the clock was set back meanwhile, which shows
-    /// in the newest event, no lease lasts longer for it, no failed task waits longer than the longest wait, and
-    /// what was spent does not fall. A worker that stays silent is paid until its lease would have expired.
+    /// The time before does not count for tasks that are late. If the clock was set back meanwhile, which
+    /// shows in the newest event, no lease lasts longer for it, no failed task waits longer than the longest
+    /// wait, and what was spent does not fall. A worker that stays silent is paid until its lease would have
+    /// expired.
     pub async fn extend_leases_after_start(&self, ttl: Duration, now: Timestamp) -> Result<u64> {
         let until = now.plus_micros(i64::try_from(ttl.as_micros()).unwrap_or(i64::MAX));
         if let Some(newest) = self.time_of_newest_event().await?.filter(|&newest| newest > now) {
@@ -116,8 +117,8 @@ impl Store {
     }
 }
 
-/// Expired leases that are looked at in one write. Thousands may expire at once, and workers that wait while somebody
-/// writes could lose theirs as well.
+/// Expired leases that are looked at in one write. Thousands may expire at once, and workers that wait while
+/// somebody writes could lose theirs as well.
 const AT_ONCE: u32 = 50;
 
 /// Takes back the tasks of some expired leases. Returns whether there may be more.

@@ -15,7 +15,8 @@ use forelight_protocol::Timestamp;
 const SECOND: i64 = 1_000_000;
 const MINUTE: i64 = 60 * SECOND;
 
-/// No task is late before this time, because fetching its files may take as long. In microseconds, as all here.
+/// No task is late before this time, because fetching its files may take as long. In microseconds, as all
+/// here.
 pub const LEAST_LATE: i64 = 10 * SECOND;
 
 /// A task stalls after so many times its P95.

@@ -43,8 +43,8 @@ pub struct Given<'a> {
 ///
 /// Its cost is the cost that forecasts predict: pixels, set-up, its own irradiance cache and, if something
 /// moves in the shot, its acceleration structure, even if some of it was computed before. It excludes what a
-/// process pays once (loading, a structure that all frames share) and the shared cache. Removing its noise is part of
-/// it, and also told apart: [`forelight_protocol::DenoisedStats`].
+/// process pays once (loading, a structure that all frames share) and the shared cache. Removing its noise is
+/// part of it, and also told apart: [`forelight_protocol::DenoisedStats`].
 pub fn render_frame(
     shot: &OwnShot,
     frame: u32,
@@ -66,7 +66,8 @@ pub fn render_frame(
     Ok(Some(rendered))
 }
 
-/// The same for a frame that is set up. `pixels` receives pixels as they are finished. Wall time is that of tracing alone.
+/// The same for a frame that is set up. `pixels` receives pixels as they are finished. Wall time is that of
+/// tracing alone.
 pub fn render_ready(
     ready: &OwnFrame<'_>,
     settings: &RenderSettings,
