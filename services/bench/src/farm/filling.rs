@@ -31,7 +31,7 @@ pub struct Images {
 
 impl Images {
     pub fn new() -> Result<Self> {
-        let [exr, png] = Self::files()?.map(|file| ArtifactHash(*blake3::hash(&file).as_bytes()));
+        let [exr, png] = Self::files()?.map(|file| hash_of(&file));
         Ok(Self { exr, png })
     }
 
@@ -40,6 +40,10 @@ impl Images {
         Rgb32FImage::new(SIZE, SIZE).write_to(&mut exr, ImageFormat::OpenExr)?;
         Ok([exr.into_inner(), forelight_pictures::png(&RgbImage::new(SIZE, SIZE))?])
     }
+}
+
+fn hash_of(file: &[u8]) -> ArtifactHash {
+    ArtifactHash(*blake3::hash(file).as_bytes())
 }
 
 /// Name of a simulated worker's node.
@@ -59,8 +63,8 @@ pub async fn fill(store: &Store, frames: u32, workers: u32) -> Result<Vec<Node>>
         nodes.push(register(store, &name_of(worker)).await?);
     }
     let node = register(store, "planner").await?;
-    let Images { exr, png } = Images::new()?;
-    for (hash, file) in [exr, png].into_iter().zip(Images::files()?) {
+    for file in Images::files()? {
+        let hash = hash_of(&file);
         let stream = futures::stream::iter([Ok::<_, StoreError>(Bytes::from(file))]);
         store.artifacts().put(hash, stream, 1 << 10, now).await?;
     }
